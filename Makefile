@@ -79,15 +79,15 @@ format: dev
 # The learner's copies, without solutions, in a folder of the project where changes are kept. Links to source files
 # need the project as the root of the server.
 lab: setup
-	@$(BIN)/python -m gsfusion_nb.course.student notebooks $(COURSE) --learner
+	@$(BIN)/python -m gsfusion_nb.course.copies notebooks $(COURSE) --learner
 	$(BIN)/jupyter lab --ServerApp.root_dir="$(CURDIR)" --LabApp.default_url=/lab/tree/$(COURSE)/00_quickstart.ipynb $(LAB)
 
 # Copies of the notebooks to hand out, without solutions and outputs; and the solved ones.
 student: setup
-	$(BIN)/python -m gsfusion_nb.course.student notebooks runs/student
+	$(BIN)/python -m gsfusion_nb.course.copies notebooks runs/student
 
 teacher: setup
-	$(BIN)/python -m gsfusion_nb.course.student notebooks runs/teacher --teacher
+	$(BIN)/python -m gsfusion_nb.course.copies notebooks runs/teacher --teacher
 
 # The bank of questions, for lecturers: docs/teaching/quiz.md.
 quiz: setup

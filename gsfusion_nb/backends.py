@@ -10,7 +10,7 @@ operations on Gaussians in float64 run on torch instead.
 
 ``mine`` is the reference with the functions of a learner in it (``FUNCTIONS``). They replace whole operations, or the
 parts of an operation that are declared with ``@piece``. It exists only in a Python session that has imported
-``gsfusion_nb.course.mine``.
+``gsfusion_nb.course.learner_backend``.
 
 An observer sees the calls of marked functions (``observed``, ``observing``). Nothing is watched by default; a marked
 function then costs one look at a variable.
@@ -329,7 +329,7 @@ def _run_mine(name: str, *args, **kwargs) -> Any:
 
 def _check_course() -> None:
     """Raise ``BackendUnavailable`` unless this Python session can have functions of a learner."""
-    if f"{__package__}.course.mine" not in sys.modules:
+    if f"{__package__}.course.learner_backend" not in sys.modules:
         raise BackendUnavailable(
             f"backend {MINE!r} runs functions that a learner wrote in a notebook of the course, and this program has "
             "none; use it in a notebook, after `from gsfusion_nb.course import mine`"

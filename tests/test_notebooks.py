@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.course.without_solutions import without_solutions
+from gsfusion_nb.course.copies import without_solutions
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten, plain
+from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten
 from gsfusion_nb.course.exercise import Exercise, exercises
-from gsfusion_nb.course.whose import judging
+from gsfusion_nb.course.learner_code import plain_value
 from gsfusion_nb.foreign import read_object
 from gsfusion_nb.types import Camera
 
@@ -56,7 +56,7 @@ def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged
     """
     found = Judged()
     attempt = _Compared(function, exercise._solution)
-    with _collecting(inspect.unwrap(exercise.judge).__globals__, found), judging(exercise.name):
+    with _collecting(inspect.unwrap(exercise.judge).__globals__, found):
         try:
             exercise.judge(attempt)
         except Failed as e:
@@ -95,7 +95,7 @@ class _Compared(Attempt):
 
 def _same(got: Any, expected: Any) -> bool:
     """Whether two answers are equal, to a rounding."""
-    got, expected = plain(got), plain(expected)
+    got, expected = plain_value(got), plain_value(expected)
     if isinstance(expected, (list, tuple)):
         return (
             isinstance(got, (list, tuple))

@@ -104,7 +104,7 @@ def _reset(yes: bool) -> int:
 
 def _copy(folder: Path, open_it: bool) -> int:
     """Write the notebooks and say how to open them, or open them."""
-    from ..course.course_files import FIRST, copy_for_learner
+    from ..course.copies import FIRST, copy_for_learner
 
     done = copy_for_learner(folder)
     for notebook in done:

@@ -1,19 +1,20 @@
-"""A student's function under test, and the statements a checker makes about what it returns."""
+"""A learner's function under test, the statements that a judge makes about what it returns, and the verdict."""
 
 import contextlib
-import copy
 import functools
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ..drawing.page import fill
 from ..types import Camera
-from .guard import Broken, Guard, settled
-from .place import place_of
+from .learner_code import CodeInUse, Guard, argument_copy, line_of_error, plain_value
+from .learner_code import Failed as Failed
 
 _seen: ContextVar[list[str] | None] = ContextVar("_seen", default=None)
 
@@ -33,14 +34,6 @@ def _note(prop: str) -> None:
     seen = _seen.get()
     if seen is not None:
         seen.append(prop)
-
-
-class Failed(Exception):
-    """A property does not hold: ``prop`` names it, ``on`` the input, ``detail`` what was returned and expected."""
-
-    def __init__(self, prop: str, on: str, detail: str):
-        super().__init__(f"{prop} (on {on}): {detail}")
-        self.prop, self.on, self.detail = prop, on, detail
 
 
 class NotCallable(Failed):
@@ -70,7 +63,7 @@ class Attempt:
         return self
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        given, named = [_copied(a) for a in args], {k: _copied(a) for k, a in kwargs.items()}
+        given, named = [argument_copy(a) for a in args], {k: argument_copy(a) for k, a in kwargs.items()}
         on = self.words or describe([*args, *kwargs.values()])
         self.returned = self._run(self.function, given, named, on)
         for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
@@ -102,10 +95,10 @@ class Attempt:
             raise NotWritten from None
         except NotCallable:
             raise
-        except (Broken, Failed) as e:  # Failed: it runs in another process, which says what happened
+        except Failed as e:  # it broke a rule that holds for every exercise, or its process says what happened
             raise Failed(e.prop, on, e.detail) from None
         except Exception as e:
-            place = place_of(e, self.function)
+            place = line_of_error(e, self.function)
             raised = f"it raised {type(e).__name__}{f' in {place}' if place else ''}"
             raise Failed("it runs", on, f"{raised}: {str(e).splitlines()[0] if str(e) else ''}") from e
         if result is None or result is Ellipsis:
@@ -114,7 +107,7 @@ class Attempt:
 
     def _guarded(self, function: Callable[..., Any], args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
         if self.guard is None:
-            return settled(function(*args, **kwargs))
+            return plain_value(function(*args, **kwargs))
         return self.guard.run(function, args, kwargs)
 
     @property
@@ -128,13 +121,6 @@ class Attempt:
         return call
 
 
-def _copied(value: Any) -> Any:
-    """A copy of an argument, for those kinds that a learner's function could change."""
-    if isinstance(value, Tensor):
-        return value.clone()
-    return copy.deepcopy(value) if isinstance(value, (np.ndarray, list, dict, Camera)) else value
-
-
 def _same(before: Any, after: Any) -> bool:
     """Whether an argument is as it was."""
     if isinstance(before, Tensor):
@@ -142,20 +128,6 @@ def _same(before: Any, after: Any) -> bool:
     if isinstance(before, np.ndarray):
         return np.array_equal(before, after, equal_nan=True)
     return before == after if isinstance(before, (list, dict, Camera)) else True
-
-
-def plain(value: Any) -> Any:
-    """``value`` with NumPy arrays as tensors, NumPy numbers as Python's, and generators as lists."""
-    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        return torch.from_numpy(value.copy())
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, Iterator):
-        return [plain(v) for v in value]
-    if type(value) in (tuple, list):
-        parts = [plain(v) for v in value]
-        return tuple(parts) if type(value) is tuple else parts
-    return value
 
 
 def holds(condition: Any, prop: str, *, on: str, detail: str) -> None:
@@ -245,3 +217,63 @@ def _position(flat: int, shape: torch.Size) -> str:
 def _short(value: Tensor) -> str:
     number = float(value) + 0.0  # no -0
     return f"{number:.0f}" if number.is_integer() and abs(number) < 1e12 else f"{number:.5g}"
+
+
+_COLOURS = {"passed": "#1a7f37", "failed": "#c62828", "not written": "#6e7781"}
+_SIGNS = {"passed": "✓", "failed": "✗", "not written": "…"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The answer of ``check.<name>(fn)``; true if everything holds. Notebooks show it in colour."""
+
+    exercise: str
+    """Name of the exercise."""
+    state: Literal["passed", "failed", "not written"]
+    prop: str = ""
+    """The property that failed."""
+    on: str = ""
+    """The input on which it failed, in words."""
+    detail: str = ""
+    """What was returned and what was expected; or, when passed, what was checked."""
+    hints_left: int = 0
+    """Hints not yet asked for."""
+
+    def __bool__(self) -> bool:
+        return self.state == "passed"
+
+    @property
+    def code_in_use(self) -> CodeInUse:
+        """Whose code a chapter goes on with, after this verdict on the learner's function."""
+        if self:
+            return CodeInUse(exercise=self.exercise, state="yours")
+        if self.state == "not written":
+            return CodeInUse(exercise=self.exercise, state="not yet yours", why="not yet yours.")
+        on = f" (on {self.on})" if self.on else ""
+        return CodeInUse(exercise=self.exercise, state="fails", why=f"yours fails “{self.prop}”{on}: {self.detail}")
+
+    @property
+    def headline(self) -> str:
+        """One line without the details."""
+        if self.state == "failed":
+            return f"{_SIGNS['failed']} {self.exercise}: not true yet: “{self.prop}”"
+        return (
+            f"{_SIGNS[self.state]} {self.exercise}: {self.state if self.state == 'not written' else 'all checks pass'}"
+        )
+
+    @property
+    def lines(self) -> list[str]:
+        """What follows the headline."""
+        rest = [f"input: {self.on}"] if self.on else []
+        rest += [self.detail] if self.detail else []
+        if not self and self.hints_left:
+            rest.append(f"{self.hints_left} hint{'s' if self.hints_left > 1 else ''}: check.{self.exercise}.hint()")
+        elif self.state == "failed":
+            rest.append(f"a solution: check.{self.exercise}.solution()")
+        return rest
+
+    def __repr__(self) -> str:
+        return "\n  ".join([self.headline, *self.lines])
+
+    def _repr_html_(self) -> str:
+        return fill("verdict.html", verdict=self, colour=_COLOURS[self.state])

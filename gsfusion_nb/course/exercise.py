@@ -9,7 +9,7 @@ In a notebook::
     check.lift_pixel.solution()      # source of a solution, after the first try
     f = check.lift_pixel.working(f)  # the student's function if it passes, else the reference's; it says whose
 
-In ``teaching/<chapter>.py`` (found automatically, nothing to register elsewhere)::
+In ``course/<chapter>.py`` (found automatically, nothing to register elsewhere)::
 
     def _solution(camera, uv, depth_m): ...
     def _along_the_ray(camera, uv, depth_m): ...            # a plausible wrong answer
@@ -29,7 +29,7 @@ The judge returns nothing and raises ``Failed`` (through ``close``, ``holds``, `
 does not hold; put the property that explains most mistakes first. Tests run every judge on its solution, which must
 pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
 
-A judged function runs in a thread of its own (``guard.py``), for at most ``limit_s``. One that calls the solution, the
+A judged function runs in a thread of its own (``learner_code.py``), for at most ``limit_s``. One that calls the solution, the
 operation that it becomes, or one of ``ready_made`` is refused.
 
 A function that passes is kept (``course.mine``). ``becomes=Becomes("lift", adapter)`` says which operation of the
@@ -40,61 +40,108 @@ without ``becomes`` says in ``stands_alone`` why its function runs nowhere in th
 import contextlib
 import functools
 import importlib
+import inspect
 import pkgutil
-from collections.abc import Callable, Sequence
+import re
+import types
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
+from markupsafe import Markup
 
 from ..backends import plain_function, use_backend
 from .attempt import Attempt as Attempt
 from .attempt import Failed as Failed
-from .attempt import NotWritten, describe
+from .attempt import NotWritten, Verdict, describe
 from .attempt import close as close
 from .attempt import holds as holds
 from .attempt import unpack as unpack
-from .becomes import Becomes as Becomes
-from .becomes import remember
-from .carried import carry
-from .guard import LIBRARY_LIMIT_S as LIBRARY_LIMIT_S
-from .guard import LIMIT_S, Guard
+from .learner_backend import Becomes as Becomes
+from .learner_backend import Yours as Yours
+from .learner_backend import remember
+from .learner_code import LIBRARY_LIMIT_S as LIBRARY_LIMIT_S
+from .learner_code import LIMIT_S, Guard, keep_source, reference_function, with_reference
 from .progress import count, forgiving, note, now, read_section
-from .solution import NotYet, Solution, source_of, without_source
-from .verdict import Hint, Verdict
-from .whose import judging, reference_only, tell, whose_code, yours_with_reference
-from .yours import Yours as Yours
 
 DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 
-_MACHINERY = {
-    "attempt",
-    "becomes",
-    "carried",
-    "course",
-    "edition",
-    "exercise",
-    "grading",
-    "guard",
-    "mine",
-    "place",
-    "predictions",
-    "progress",
-    "sandbox",
-    "solution",
-    "student",
-    "trace",
-    "verdict",
-    "wall",
-    "whose",
-    "without_solutions",
-    "yours",
-}
+_NO_CHAPTERS = {
+    "attempt", "copies", "course", "exercise", "grading", "learner_backend", "learner_code", "paper_tables",
+    "predictions", "progress", "source_lines", "trace",
+}  # fmt: skip
+"""Modules of this folder that register no exercise."""
 
 _EXERCISES: dict[str, "Exercise"] = {}
 
 AUTOGRAD = (torch.autograd.grad, torch.autograd.backward)
 """What does an exercise whose gradient is to be written by hand."""
+
+
+@dataclass(frozen=True)
+class Hint:
+    """One hint, as a notebook shows it."""
+
+    number: int
+    """Counted from 1."""
+    of: int
+    """How many there are."""
+    text: str
+
+    def __repr__(self) -> str:
+        return f"Hint {self.number} of {self.of}: {self.text}"
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Source code of a solution, as a notebook shows it."""
+
+    exercise: str
+    source: str
+
+    def __repr__(self) -> str:
+        return self.source
+
+    def _repr_html_(self) -> str:
+        block = "<details class='gsnb-solution' open><summary>A solution of {}</summary><pre>{}</pre></details>"
+        return Markup(block).format(self.exercise, self.source)
+
+
+@dataclass(frozen=True)
+class NotYet:
+    """The sentence that stands in for a solution before the first try."""
+
+    exercise: str
+    hints_left: int
+
+    def __repr__(self) -> str:
+        more = f" Before that: check.{self.exercise}.hint()" if self.hints_left else ""
+        return (
+            f"The solution of {self.exercise} opens after your first try: write the function and run "
+            f"check.{self.exercise}({self.exercise}).{more}"
+        )
+
+
+def source_of(exercise: str, function: Callable[..., Any]) -> str:
+    """Source of a solution under the exercise's name, after the private functions of its module that it calls."""
+    sources = [inspect.getsource(each) for each in [*_called_by(function, {function}), function]]
+    renamed = re.sub(rf"\b{re.escape(function.__name__)}\b", exercise, sources[-1])
+    return "\n\n".join([*sources[:-1], renamed]).strip()
+
+
+def _called_by(function: Callable[..., Any], seen: set[Any]) -> Iterator[Callable[..., Any]]:
+    plain = inspect.unwrap(function)
+    code = getattr(plain, "__code__", None)
+    names = code.co_names if code is not None else ()
+    for name in names:
+        other = getattr(plain, "__globals__", {}).get(name)
+        if not isinstance(other, types.FunctionType) or other in seen:
+            continue
+        if name.startswith("_") and other.__module__ == function.__module__:
+            seen.add(other)
+            yield from _called_by(other, seen)
+            yield other
 
 
 @dataclass(frozen=True)
@@ -145,7 +192,7 @@ class Exercise:
         if verdict:
             remember(self.name, self.becomes, function)
             with forgiving():
-                carry(self.name, function)
+                keep_source(self.name, function)
         return verdict
 
     def verdict(self, function: Any) -> Verdict:
@@ -160,10 +207,6 @@ class Exercise:
 
     def verdict_on(self, attempt: Attempt, judge: Callable[[Attempt], None]) -> Verdict:
         """What ``judge`` says; nothing is kept or noted."""
-        with judging(self.name):
-            return self._said(attempt, judge)
-
-    def _said(self, attempt: Attempt, judge: Callable[[Attempt], None]) -> Verdict:
         left = len(self.hints) - self.hints_given
         try:
             judge(attempt)
@@ -181,13 +224,13 @@ class Exercise:
         return Verdict(exercise=self.name, state="passed")
 
     @functools.cached_property
-    def _stand_in(self) -> Callable[..., Any]:
-        return without_source(self._solution)
+    def _reference(self) -> Callable[..., Any]:
+        return reference_function(self.name, self._solution)
 
     def _guard(self) -> Guard:
         """What the function may not call: the course's solution, and what does this exercise already."""
         guard = Guard(limit_s=self.limit_s)
-        guard.refuse([self._solution, self._stand_in], "which is the course's solution; write your own")
+        guard.refuse([self._solution, self._reference], "which is the course's solution; write your own")
         own = [plain_function(self.becomes.operation)] if self.becomes else []
         guard.refuse([*own, *self.ready_made], "which does what this exercise asks for; write it out")
         return guard
@@ -223,12 +266,10 @@ class Exercise:
             plain: Return the function itself, for a compiler such as numba; its errors stop the cell.
         """
         verdict = self._judged(function)
-        tell(whose_code(verdict))
-        if plain:
-            return function if verdict else self._stand_in
-        if verdict:
-            return yours_with_reference(self.name, function, self._solution)
-        return reference_only(self.name, self._solution)
+        verdict.code_in_use.tell()
+        if not verdict:
+            return self._reference
+        return function if plain else with_reference(self.name, function, self._reference)
 
     def __repr__(self) -> str:
         stars = "★" * self.difficulty + "☆" * (5 - self.difficulty)
@@ -293,7 +334,7 @@ def exercises() -> dict[str, Exercise]:
     """Every exercise of the course by name; loads the chapters' modules."""
     package = importlib.import_module(__package__ or "")
     for module in pkgutil.iter_modules(package.__path__):
-        if module.name not in _MACHINERY:
+        if module.name not in _NO_CHAPTERS:
             importlib.import_module(f"{package.__name__}.{module.name}")
     return dict(sorted(_EXERCISES.items(), key=lambda item: (item[1].chapter, item[0])))
 

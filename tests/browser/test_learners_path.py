@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb.course import exercises
-from gsfusion_nb.course.edition import learner_copy
+from gsfusion_nb.course.copies import learner_copy
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 

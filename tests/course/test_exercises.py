@@ -6,7 +6,7 @@ import pytest
 
 from gsfusion_nb.course import exercises
 from gsfusion_nb.course.attempt import Attempt
-from gsfusion_nb.course.solution import Solution, source_of
+from gsfusion_nb.course.exercise import Solution, source_of
 
 ALL = exercises()
 WRONG = [(e, w) for e in ALL.values() for w in e.wrong]

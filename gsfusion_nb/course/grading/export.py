@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 from ...files import write_file
 from ...foreign import read_object
+from ..copies import without_solutions
 from ..exercise import exercises
-from ..without_solutions import without_solutions
 from .points import Points
 
 Target = Literal["nbgrader", "otter"]

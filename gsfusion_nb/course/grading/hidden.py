@@ -9,9 +9,9 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
+from ..attempt import Verdict
 from ..exercise import exercises
 from ..sandbox.needed import Cell
-from ..verdict import Verdict
 from .isolated import Sandbox, unprotected
 from .marking import verdict_on, why
 from .remote import Limits

@@ -10,9 +10,8 @@ import torch
 from torch import Tensor
 
 from ...backends import use_backend
-from ..attempt import Attempt, as_rows, close, holds, watching_properties
+from ..attempt import Attempt, Verdict, as_rows, close, holds, watching_properties
 from ..exercise import Exercise, exercises
-from ..verdict import Verdict
 from ..wall import wall_context
 from .draws import DRAWS, whole
 from .isolated import Sandbox

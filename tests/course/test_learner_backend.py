@@ -5,31 +5,19 @@ import linecache
 import pytest
 import torch
 
-from gsfusion_nb import GSFusion, backends, gsfusion, open_sequence
+from gsfusion_nb import GSFusion, gsfusion, open_sequence
 from gsfusion_nb.backends import BackendUnavailable, use_backend
-from gsfusion_nb.course import becomes, check, exercises, mine
-from gsfusion_nb.course.mine import LearnerError
+from gsfusion_nb.course import check, exercises, mine, progress
+from gsfusion_nb.course.learner_backend import LearnerError
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.optim import adam_update, l1_vjp
 from gsfusion_nb.render import render_forward, render_vjp
 from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tsdf import tsdf_update
-from gsfusion_nb.types import Camera, GaussianParams
+from gsfusion_nb.types import Camera, Frame, GaussianParams
 
 pytestmark = pytest.mark.usefixtures("nothing_kept")
-
-
-@pytest.fixture
-def nothing_kept(monkeypatch):
-    for name in list(backends.FUNCTIONS):
-        monkeypatch.delitem(backends.FUNCTIONS, name)
-    for name in list(mine.kept()):
-        monkeypatch.delitem(becomes.KEPT, name)
-    mine.clear_counts()
-    yield
-    mine.forget()
-    mine.clear_counts()
 
 
 PICTURES = torch.full((2, 3, 3), 0.75), torch.full((2, 3, 3), 0.25)
@@ -41,10 +29,6 @@ def l1_gradient(rgb, target):
 
 def row(operation):
     return next(row for row in mine.board().rows if row.operation == operation)
-
-
-def test_every_exercise_that_becomes_something_becomes_an_operation_that_exists():
-    mine.check_becomes()
 
 
 def test_a_function_that_passes_is_kept_and_runs_in_the_library():
@@ -176,7 +160,7 @@ def test_the_board_shows_whose_code_ran():
 
 
 def test_without_the_course_the_backend_is_refused_in_a_sentence(monkeypatch):
-    monkeypatch.delitem(__import__("sys").modules, "gsfusion_nb.course.mine")
+    monkeypatch.delitem(__import__("sys").modules, "gsfusion_nb.course.learner_backend")
     with pytest.raises(BackendUnavailable, match="functions that a learner wrote in a notebook"), use_backend("mine"):
         pass
 
@@ -315,3 +299,37 @@ def test_the_solutions_can_stand_in_and_the_board_says_so():
     assert set(mine.kept()) == set(exercises())
     assert row("blend").whose == "solution"
     assert "blend" not in mine.board().yours
+
+
+def test_a_frame_in_which_the_learners_function_fails_is_taken_back():
+    camera = Camera(width=16, height=12, fx=14.0, fy=14.0, cx=8.0, cy=6.0)
+    rgb = torch.rand(12, 16, 3, generator=torch.Generator().manual_seed(3))
+    frame = Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=torch.full((12, 16), 2.0), camera=camera,
+                  T_WC=torch.eye(4))  # fmt: skip
+    config = gsfusion("online", sh_degree=0, tsdf__voxel_size_m=0.2, seeding__quadtree_contrast="std",
+                      optim__keyframe_iterations=2)  # fmt: skip
+    mapper, calls = GSFusion(config), []
+
+    def l1_gradient(rgb, target):
+        calls.append(1)
+        if len(calls) == 2:
+            raise ValueError("the second step")
+        return torch.sign(rgb - target) / rgb.numel()
+
+    mine.keep("l1_gradient", l1_gradient)
+    with use_backend("mine"):
+        with pytest.raises(LearnerError, match=r"your l1_gradient .* raised ValueError: the second step"):
+            mapper.step(frame)
+        assert (len(mapper.gaussians), len(mapper.keyframes), mapper.volume.n_blocks) == (0, 0, 0)
+        assert mapper.step(frame).n_seeds == len(mapper.gaussians) > 0
+
+
+def test_progress_written_by_hand_keeps_no_function(monkeypatch, tmp_path):
+    monkeypatch.setenv("GSNB_COURSE_FILE", str(tmp_path / "course.json"))
+    wrong = "def l1_gradient(rgb, target):\n    return rgb\n"
+    progress.note("exercises", "l1_gradient", tries=1, passed=progress.now())
+    progress.note("functions", "l1_gradient", function="l1_gradient", source=wrong, kept=progress.now())
+    mine.load()
+    assert "l1_gradient" not in mine.kept()
+    with use_backend("mine"):
+        l1_vjp(torch.ones(2, 2, 3), torch.zeros(2, 2, 3))

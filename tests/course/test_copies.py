@@ -1,16 +1,20 @@
-"""The learner's edition: no solutions, what to expect, and nobody's work is overwritten."""
+"""Copies of the notebooks have no solution; a learner's shows what to expect, and nobody's work is overwritten."""
 
+import copy
 import json
 import re
 from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.course.edition import hand_out, learner_copy
-from gsfusion_nb.course.student import main
+from gsfusion_nb.course.copies import copy_for_class, hand_out, learner_copy, main, without_solutions
 
-NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.ipynb"))
 PICTURE = {"output_type": "display_data", "metadata": {}, "data": {"image/png": "abc", "text/plain": "<Image>"}}
+
+
+def text(source):
+    return {"cell_type": "markdown", "metadata": {}, "source": source}
 
 
 def shown(text):
@@ -22,7 +26,69 @@ def code(source, *outputs):
 
 
 def notebook(*cells):
-    return {"cells": [{"cell_type": "markdown", "metadata": {}, "source": "# Title"}, *cells], "nbformat": 4}
+    return {"cells": [text("# Title"), *cells], "nbformat": 4}
+
+
+def write(folder, chapter):
+    folder.mkdir(exist_ok=True)
+    (folder / "01_x.ipynb").write_text(json.dumps(chapter))
+
+
+SOLVED = "### BEGIN SOLUTION\ndef f(x):\n    return 2 * x\n### END SOLUTION"
+
+
+def test_solutions_go_and_the_rest_stays():
+    notebook = {
+        "cells": [
+            text("Double it."),
+            code("def f(x):\n    ..."),
+            code(SOLVED),
+            code(["a = 1\n", "    ### BEGIN SOLUTION\n", "a = 2\n", "    ### END SOLUTION\n", "b = 3"]),
+            text("Why?\n<!-- BEGIN SOLUTION -->\nBecause.\n<!-- END SOLUTION -->\nGo on."),
+            code(""),
+        ],
+        "metadata": {"m": 1},
+        "nbformat": 4,
+    }
+    before = copy.deepcopy(notebook)
+    student = without_solutions(notebook)
+    assert notebook == before
+    sources = ["".join(cell["source"]) for cell in student["cells"]]
+    assert sources == ["Double it.", "def f(x):\n    ...", "a = 1\nb = 3", "Why?\nGo on.", ""]
+    assert all(
+        c["outputs"] == [] and c["execution_count"] is None for c in student["cells"] if c["cell_type"] == "code"
+    )
+    assert {k: student[k] for k in ("metadata", "nbformat")} == {"metadata": {"m": 1}, "nbformat": 4}
+
+
+@pytest.mark.parametrize("source", ["### BEGIN SOLUTION\nx = 1", "x = 1\n### END SOLUTION"])
+def test_a_marker_without_its_partner_is_refused(source, tmp_path):
+    write(tmp_path / "in", {"cells": [code(source)]})
+    with pytest.raises(ValueError, match=r"01_x.ipynb: cell 0"):
+        copy_for_class(tmp_path / "in", tmp_path / "out")
+
+
+@pytest.mark.parametrize("copies", [copy_for_class, hand_out])
+def test_refuses_to_overwrite_the_notebooks(copies, tmp_path):
+    with pytest.raises(ValueError, match="no notebook"):
+        copies(tmp_path, tmp_path / "out")
+    write(tmp_path, {"cells": []})
+    with pytest.raises(ValueError, match="would replace"):
+        copies(tmp_path, tmp_path)
+
+
+def test_the_command_copies_the_course(tmp_path, capsys):
+    source = NOTEBOOKS[0].parent
+    main([str(source), str(tmp_path / "student")])
+    main([str(source), str(tmp_path / "teacher"), "--teacher"])
+    for path in NOTEBOOKS:
+        student = (tmp_path / "student" / path.name).read_text(encoding="utf-8")
+        assert "SOLUTION" not in student
+        assert json.loads(student)["cells"]
+        assert (tmp_path / "teacher" / path.name).read_bytes() == path.read_bytes()
+    with pytest.raises(SystemExit):
+        main([str(tmp_path / "nowhere"), str(tmp_path / "out")])
+    assert "no notebook" in capsys.readouterr().err
 
 
 CHAPTER = notebook(
@@ -51,18 +117,13 @@ def test_what_comes_of_a_prediction_is_folded():
     assert folded == [None, True, True, None]
 
 
-@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_every_chapter_has_its_pictures_and_no_solution(path):
     stored = json.loads(path.read_text(encoding="utf-8"))
     learner = json.dumps(learner_copy(stored), ensure_ascii=False)
     assert "SOLUTION" not in learner
     assert not re.search(r'["<>]✓ \w+: all checks', learner)
     assert learner.count('"image/') == json.dumps(stored).count('"image/') >= 3
-
-
-def write(folder, chapter):
-    folder.mkdir(exist_ok=True)
-    (folder / "01_x.ipynb").write_text(json.dumps(chapter))
 
 
 def test_a_changed_notebook_is_never_overwritten(tmp_path, caplog):
@@ -96,11 +157,3 @@ def test_without_the_list_of_editions_everything_counts_as_changed(tmp_path):
     (target / ".handed_out.json").write_text("{")
     write(source, notebook())
     assert [done.state for done in hand_out(source, target)] == ["beside"]
-
-
-def test_refuses_the_notebooks_own_folder(tmp_path):
-    with pytest.raises(ValueError, match="no notebook"):
-        hand_out(tmp_path, tmp_path / "course")
-    write(tmp_path, CHAPTER)
-    with pytest.raises(ValueError, match="would replace"):
-        hand_out(tmp_path, tmp_path)

@@ -1,0 +1,311 @@
+"""Copies of the notebooks: for one learner to work in, for students to hand in, for teachers; and their documentation.
+
+``python -m gsfusion_nb.course.copies SRC DST [--teacher | --learner]``. In a code cell everything from the line
+``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell from ``<!-- BEGIN SOLUTION -->`` to
+``<!-- END SOLUTION -->``. A cell that would be empty without it is left out. A student's copy has no outputs, because
+they would show what the reader is asked to predict. A learner's copy has the stored pictures of what to expect.
+
+A learner's work is never overwritten: a notebook is replaced only if it is, byte for byte, the one that was handed out.
+Otherwise a new edition is written beside it, and the message says so.
+"""
+
+import argparse
+import copy
+import hashlib
+import json
+import logging
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from ..errors import SequenceError
+from ..files import write_file
+from ..foreign import read_bytes, read_object
+
+log = logging.getLogger(__name__)
+
+FIRST = "00_quickstart.ipynb"
+DOCUMENTATION = "documentation"
+"""Folder of the documentation's pages, in the folder of the notebooks."""
+
+_BEGIN = ("### BEGIN SOLUTION", "<!-- BEGIN SOLUTION -->")
+_END = ("### END SOLUTION", "<!-- END SOLUTION -->")
+_HANDED_OUT = ".handed_out.json"
+"""In the learner's folder: name of a notebook -> SHA-256 of the edition handed out last."""
+_CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$", re.MULTILINE)
+_PREDICT, _CAME = (re.compile(rf"\b{word}\(\s*\"(\w+)\"") for word in ("predict", "came"))
+_WHOSE = re.compile(r"^\w+: (your code is used\.|the reference's is used: )")
+_LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)")
+_TO_A_PAGE = re.compile(r"\]\(\.\./docs/")
+_TO_A_SOURCE_FILE = re.compile(r'<a href=\\"(?:\.\./)+gsfusion_nb/[^>]*>(.*?)</a>')
+
+_NOTE = (
+    "*The pictures and numbers below were stored: they show what to expect. Running a cell replaces them by yours. An "
+    "exercise that you have not solved yet says so, and the reference's code goes on.*"
+)
+
+
+def notebooks_folder() -> Path:
+    """The folder of the solved notebooks: in an installed package, or in a clone.
+
+    Raises:
+        FileNotFoundError: this installation has none.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "notebooks", package.parent / "notebooks"):
+        if (folder / FIRST).is_file():
+            return folder
+    raise FileNotFoundError(f"{package} holds no notebooks; expected {FIRST} in its folder notebooks: install it again")
+
+
+def docs_folder() -> Path | None:
+    """The folder of the documentation, in an installed package or in a clone; ``None`` if there is none."""
+    package = Path(__file__).resolve().parents[1]
+    found = (folder for folder in (package / "docs", package.parent / "docs") if (folder / "index.md").is_file())
+    return next(found, None)
+
+
+def without_solutions(notebook: dict[str, Any], *, outputs: bool = False) -> dict[str, Any]:
+    """A copy of the notebook (as read from JSON) without solutions and, unless they are wanted, ``outputs``.
+
+    Raises:
+        ValueError: a marker without its partner; the message names the cell.
+    """
+    student = copy.deepcopy(notebook)
+    kept = []
+    for number, cell in enumerate(student["cells"]):
+        lines = "".join(cell["source"]).splitlines(keepends=True)
+        left, inside = [], False
+        for line in lines:
+            if line.strip() in (_END if inside else _BEGIN):
+                inside = not inside
+            elif line.strip() in (*_BEGIN, *_END):
+                raise ValueError(f"cell {number} has {line.strip()!r} {'inside' if inside else 'outside'} a solution")
+            elif not inside:
+                left.append(line)
+        if inside:
+            raise ValueError(f"cell {number} has BEGIN SOLUTION without END SOLUTION")
+        if cell["cell_type"] == "code":
+            cell |= {"outputs": cell["outputs"] if outputs else [], "execution_count": None}
+        if len(left) < len(lines) and not "".join(left).strip():
+            continue
+        cell["source"] = [*left[:-1], left[-1].rstrip("\n")] if left else []
+        kept.append(cell)
+    student["cells"] = kept
+    return student
+
+
+def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
+    """A copy of the notebook (as read from JSON) without solutions, with the stored outputs as what to expect.
+
+    What would show the learner's own answer stands as "what you should see" (a verdict) or goes (whose code was used).
+    The outputs between a prediction and what came of it are folded.
+
+    Raises:
+        ValueError: a marker of a solution without its partner; the message names the cell.
+    """
+    marked, unknown = copy.deepcopy(notebook), set()
+    for cell in marked["cells"]:
+        if cell["cell_type"] != "code":
+            continue
+        source = "".join(cell["source"])
+        is_solved = _BEGIN[0] in source or _CHECK.search(source) is not None
+        cell["outputs"] = [
+            _expected(output) if is_solved else output
+            for output in cell["outputs"]
+            if not _WHOSE.match("".join(output.get("data", {}).get("text/plain", "")))
+        ]
+        if unknown:  # JupyterLab unfolds them when the cell runs
+            cell["metadata"] = cell["metadata"] | {"collapsed": True, "jupyter": {"outputs_hidden": True}}
+        unknown = (unknown | set(_PREDICT.findall(source))) - set(_CAME.findall(source))
+    learner = without_solutions(marked, outputs=True)
+    learner["cells"].insert(1, {"cell_type": "markdown", "id": "what-to-expect", "metadata": {}, "source": [_NOTE]})
+    return learner
+
+
+def _expected(output: dict[str, Any]) -> dict[str, Any]:
+    """An output that shows a right answer, as text in grey; pictures stay."""
+    data = output.get("data", {})
+    if any(mime.startswith("image/") for mime in data):
+        return output
+    text = "".join(data.get("text/plain", output.get("text", ""))).strip()
+    words = f"what you should see: {text}"
+    escaped = words.replace("&", "&amp;").replace("<", "&lt;").replace("\n", "<br>")
+    shown = f'<div class="gsnb-expected" style="color:#6e7781;padding:2px 0 2px 14px">{escaped}</div>'
+    return {"output_type": "display_data", "metadata": {}, "data": {"text/html": [shown], "text/plain": [words]}}
+
+
+def documentation_pages(docs: Path) -> dict[str, bytes]:
+    """Path in the folder of the notebooks -> content: the pages of the documentation and their pictures.
+
+    A link to anything that is not copied becomes its text.
+    """
+    texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(docs.glob("*.md"))}
+
+    def kept(match: re.Match[str]) -> str:
+        page = match[2].partition("#")[0]
+        return match[0] if not page or page in texts or re.match(r"https?://|images/", page) else match[1]
+
+    found = {f"{DOCUMENTATION}/{name}": _LINK.sub(kept, text).encode() for name, text in texts.items()}
+    pictures = (path for path in sorted((docs / "images").glob("*")) if path.is_file())
+    return found | {f"{DOCUMENTATION}/images/{path.name}": path.read_bytes() for path in pictures}
+
+
+@dataclass(frozen=True)
+class HandedOut:
+    """One notebook in the learner's folder, and what happened to it."""
+
+    path: Path
+    """The file of the newest edition."""
+    state: Literal["new", "unchanged", "renewed", "beside"]
+
+    def __str__(self) -> str:
+        said = {
+            "new": "written",
+            "unchanged": "as before",
+            "renewed": "replaced by a newer edition (you had not changed it)",
+            "beside": "is a newer edition of a notebook that you have changed; yours was not touched",
+        }
+        return f"{self.path}: {said[self.state]}"
+
+
+def copy_for_learner(target: Path) -> list[HandedOut]:
+    """The learner's edition of the installed notebooks in the folder ``target``; what was changed there is kept.
+
+    The pages of the documentation come along, unless ``target`` is a folder of a clone, whose own pages links lead to.
+
+    Raises:
+        NotADirectoryError: ``target`` is a file. FileNotFoundError: this installation has no notebooks.
+    """
+    if target.exists() and not target.is_dir():
+        raise NotADirectoryError(f"{target} is a file; expected a folder for the notebooks")
+    docs, notebooks = docs_folder(), notebooks_folder()
+    in_clone = docs is not None and target.resolve().parent == docs.parent == notebooks.parent
+    return hand_out(notebooks, target, None if in_clone or docs is None else documentation_pages(docs))
+
+
+def hand_out(source: Path, target: Path, pages: Mapping[str, bytes] | None = None) -> list[HandedOut]:
+    """Write the learner's edition of the notebooks of a folder into the folder ``target``, which may hold earlier work.
+
+    Args:
+        source: The solved notebooks.
+        target: Where the copies go.
+        pages: Pages of the documentation (``documentation_pages``) to write beside them, which links then lead to. By
+            default none: ``target`` is a folder of the project.
+
+    Returns:
+        The notebooks.
+
+    Raises:
+        ValueError: no notebook in ``source``, ``target`` is ``source``, or unbalanced markers.
+    """
+    handed_out = _read_handed_out(target / _HANDED_OUT)
+    done = []
+    for path in _notebooks(source, target):
+        text = _as_text(path, learner_copy)
+        if pages is not None:  # links of stored outputs to source files become text; run, they link to installed files
+            text = _TO_A_SOURCE_FILE.sub(r"\1", _TO_A_PAGE.sub(f"]({DOCUMENTATION}/", text))
+        done.append(_write_unless_changed(target / path.name, text.encode(), handed_out))
+    for name, content in (pages or {}).items():
+        _write_unless_changed(target / name, content, handed_out, name)
+    write_file(target / _HANDED_OUT, json.dumps(handed_out, indent=1) + "\n")
+    return done
+
+
+def _write_unless_changed(path: Path, content: bytes, handed_out: dict[str, str], name: str = "") -> HandedOut:
+    """Write one file, beside the learner's if that has changed; notes it in ``handed_out``."""
+    before, now = handed_out.get(name or path.name), hashlib.sha256(content).hexdigest()
+    handed_out[name or path.name] = now
+    if not path.exists():
+        write_file(path, content)
+        return HandedOut(path, "new")
+    there = hashlib.sha256(read_bytes(path, "a notebook")).hexdigest()
+    if now in (there, before):
+        return HandedOut(path, "unchanged")
+    if there == before:
+        write_file(path, content)
+        return HandedOut(path, "renewed")
+    number = 2
+    while (beside := path.with_name(f"{path.stem}.edition{number}{path.suffix}")).exists():
+        if read_bytes(beside, "a notebook") == content:
+            return HandedOut(beside, "unchanged")
+        number += 1
+    write_file(beside, content)
+    return HandedOut(beside, "beside")
+
+
+def _read_handed_out(path: Path) -> dict[str, str]:
+    """The hashes; empty where the file is missing or damaged, so that every notebook counts as changed."""
+    try:
+        return {name: str(value) for name, value in read_object(path, "hashes of the notebooks").items()}
+    except (SequenceError, OSError):
+        return {}
+
+
+def copy_for_class(source: Path, target: Path, *, solutions: bool = False) -> list[Path]:
+    """Write the notebooks of a folder, or one notebook, into the folder ``target``. Returns the files written.
+
+    Args:
+        source: A folder of notebooks, or one notebook.
+        target: Created if it does not exist. Notebooks of the same name in it are replaced.
+        solutions: Keep solutions and outputs: an exact copy.
+
+    Raises:
+        ValueError: no notebook at ``source``, ``target`` is the source's folder, or unbalanced markers.
+    """
+    written = []
+    for path in _notebooks(source, target):
+        written.append(target / path.name)
+        if solutions:
+            shutil.copyfile(path, written[-1])
+        else:
+            write_file(written[-1], _as_text(path, without_solutions))
+    return written
+
+
+def _notebooks(source: Path, target: Path) -> list[Path]:
+    notebooks = [source] if source.is_file() else sorted(source.glob("*.ipynb"))
+    if not notebooks:
+        raise ValueError(f"there is no notebook at {source}")
+    if target.resolve() == notebooks[0].parent.resolve():
+        raise ValueError(f"the copies would replace the notebooks in {target}; choose another folder")
+    target.mkdir(parents=True, exist_ok=True)
+    return notebooks
+
+
+def _as_text(path: Path, change: Any) -> str:
+    try:
+        return json.dumps(change(read_object(path, "a notebook")), indent=1, ensure_ascii=False) + "\n"
+    except ValueError as e:
+        raise ValueError(f"{path}: {e}") from None
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="Copy the course's notebooks, without solutions or with them.")
+    parser.add_argument("source", type=Path, help="folder of notebooks, or one notebook")
+    parser.add_argument("target", type=Path, help="folder for the copies")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--teacher", action="store_true", help="keep solutions and outputs")
+    kind.add_argument(
+        "--learner", action="store_true", help="keep the outputs, and whatever was changed in the folder for the copies"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        if options.learner:
+            lines = [str(done) for done in hand_out(options.source, options.target) if done.state != "unchanged"]
+        else:
+            copied = copy_for_class(options.source, options.target, solutions=options.teacher)
+            lines = [f"wrote {path}" for path in copied]
+    except ValueError as e:
+        parser.error(str(e))
+    for line in lines:
+        log.info(line)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    main()

@@ -1,0 +1,347 @@
+"""A learner's function outside the library: where it is, how it is run, and how it comes to the next chapter.
+
+It runs in a thread of its own with a limit of time, and may not call what does the exercise already. Its results become
+plain values. A chapter goes on with it if it passes, else with the reference's. An accepted function is kept as source
+code in the course file: a notebook is a process of its own, so what chapter 2 accepted is not in the memory of chapter 6.
+"""
+
+import contextvars
+import copy
+import ctypes
+import functools
+import inspect
+import itertools
+import linecache
+import sys
+import textwrap
+import threading
+import time
+import types
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..drawing.page import fill
+from ..types import Camera
+from .progress import note, now, read_section
+
+LIMIT_S = 10.0
+"""How long one call of a learner's function may take, in seconds of the processor."""
+LIBRARY_LIMIT_S = 60.0
+"""The same for a function that runs stages of the library. Its judge runs them first, so that they are compiled."""
+_CROWDED = 6
+"""How many times as long it may take where other programs use the processor, or the function sleeps."""
+_PATIENCE_S = 1.0
+"""How long a function that is told to stop may take to do so."""
+_LONGEST = 10_000
+"""Most values that are taken from a generator."""
+SECTION = "functions"
+"""Of the course file."""
+REFERENCE = "<the reference's>"
+"""File name of solutions that run in a notebook; their source cannot be shown."""
+
+
+class Failed(Exception):
+    """A property does not hold: ``prop`` names it, ``on`` the input, ``detail`` what was returned and expected."""
+
+    def __init__(self, prop: str, on: str, detail: str):
+        super().__init__(f"{prop} (on {on}): {detail}")
+        self.prop, self.on, self.detail = prop, on, detail
+
+
+def line_of_error(error: BaseException, function: Callable[..., Any]) -> str:
+    """``line 3 of cell 7, `u = x / z` ``: the innermost line of the function's file on the error's way; or "".
+
+    A notebook has one file for each cell, so helper functions of the same cell are found too.
+    """
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    line, trace = 0, error.__traceback__
+    while trace is not None:
+        if code is not None and trace.tb_frame.f_code.co_filename == code.co_filename:
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return "" if code is None or not line else _line_in_words(code.co_filename, line)
+
+
+def line_of_definition(function: Callable[..., Any]) -> str:
+    """``line 1 of cell 7, `def project(xyz_C):` ``: the first line of a function; its type if it has no code."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return type(function).__name__ if code is None else _line_in_words(code.co_filename, code.co_firstlineno)
+
+
+def _line_in_words(file: str, line: int) -> str:
+    """The line, the number in the brackets of its cell, if it is one of the running notebook, and its text."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    cell = getattr(getattr(shell, "compile", None), "_filename_map", {}).get(file)
+    text = linecache.getline(file, line).strip()
+    return f"line {line}{'' if cell is None else f' of cell {cell}'}{f', `{text}`' if text else ''}"
+
+
+def plain_value(value: Any) -> Any:
+    """A copy of a result, made of tensors, numbers, texts, lists, tuples, sets and dicts.
+
+    NumPy arrays become tensors, NumPy numbers and fractions Python's, and what a generator yields a list. Objects of
+    the library stay.
+
+    Raises:
+        Failed: an object of another kind, or a generator without end.
+    """
+    if value is None or value is Ellipsis or isinstance(value, (bool, int, float, complex, str)):
+        return value
+    if isinstance(value, Tensor):
+        return value.detach().clone()
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        return torch.from_numpy(value.copy())
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Fraction):
+        return float(value)
+    for kind in (list, tuple, set, frozenset):
+        if isinstance(value, kind):
+            return kind([plain_value(part) for part in value])
+    if isinstance(value, dict):
+        return {plain_value(key): plain_value(part) for key, part in value.items()}
+    if isinstance(value, (Iterator, range)):
+        found = [plain_value(part) for part in itertools.islice(value, _LONGEST + 1)]
+        if len(found) > _LONGEST:
+            raise Failed("it comes to an end", "", f"it returned a generator of more than {_LONGEST:,} values")
+        return found
+    if type(value).__module__.startswith(f"{__name__.partition('.')[0]}."):
+        return value
+    kinds = "tensors, arrays, numbers, texts, lists, tuples"
+    raise Failed("it returns plain values", "", f"it returned a {type(value).__name__}; expected {kinds}")
+
+
+def argument_copy(value: Any) -> Any:
+    """A copy of an argument, for those kinds that a learner's function could change."""
+    if isinstance(value, Tensor):
+        return value.detach().clone()
+    return copy.deepcopy(value) if isinstance(value, (np.ndarray, list, dict, Camera)) else value
+
+
+class Refused(BaseException):
+    """Ends a learner's function; no ``except Exception`` of theirs catches it."""
+
+
+class _TimeIsUp(BaseException):
+    """Raised inside a learner's function that takes too long."""
+
+
+@dataclass
+class Guard:
+    """What holds for every call of one learner's function in a notebook.
+
+    This keeps an honest learner from fooling themselves; marks are given in another process, without the solutions.
+    """
+
+    limit_s: float = LIMIT_S
+    refused: dict[Any, str] = field(default_factory=dict)
+    """Code object, or name of a function written in C -> what calling it means, in words."""
+
+    def refuse(self, functions: Sequence[Callable[..., Any]], means: str) -> None:
+        """From now on a call of one of ``functions`` is refused; ``means`` completes "it calls NAME, ..."."""
+        for function in functions:
+            name = getattr(function, "__name__", "")
+            code = getattr(inspect.unwrap(function), "__code__", None)
+            self.refused[name if code is None else code] = f"it calls {name}, {means}"
+
+    def run(self, function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+        """The result of ``function`` as a plain value; it runs in a thread, so that a loop without end can be left.
+
+        Raises:
+            Failed: it called what is refused, took too long, or ended the program.
+            Exception: what the function raised.
+        """
+        results: list[Any] = []
+        errors: list[BaseException] = []
+        broken: list[str] = []
+
+        def watch(frame: types.FrameType, event: str, arg: Any) -> None:
+            called = frame.f_code if event == "call" else arg.__name__ if event == "c_call" else None
+            if called in self.refused:
+                broken.append(self.refused[called])
+                raise Refused
+
+        def call() -> None:
+            sys.setprofile(watch)
+            try:
+                results.append(plain_value(function(*args, **kwargs)))
+            except BaseException as e:
+                errors.append(e)
+            finally:
+                sys.setprofile(None)
+
+        context = contextvars.copy_context()
+        self._wait(threading.Thread(target=lambda: context.run(call), name="learner", daemon=True))
+        if broken:
+            raise Failed("it is your own code", "", broken[0])
+        for error in errors:
+            if isinstance(error, SystemExit):
+                raise Failed("it returns its result", "", "it ended the program: exit() or SystemExit; use return")
+            if isinstance(error, Exception):
+                raise error
+            raise Failed("it runs", "", f"it raised {type(error).__name__}")
+        return results[0]
+
+    def _wait(self, thread: threading.Thread) -> None:
+        """Run the thread; stop it after the limit, or when the learner interrupts the notebook."""
+        began, used = time.monotonic(), time.process_time()
+        thread.start()
+        try:
+            while thread.is_alive() and (
+                time.process_time() - used < self.limit_s and time.monotonic() - began < _CROWDED * self.limit_s
+            ):
+                thread.join(0.2)
+        finally:
+            in_time = not thread.is_alive()
+            stopped = in_time or _stop(thread)
+        if not in_time:
+            rest = "Is there a loop whose condition never becomes false?"
+            rest = rest if stopped else "It does not stop: restart the kernel"
+            raise Failed("it comes to an end", "", f"it ran for more than {self.limit_s:g} s. {rest}")
+
+
+def _stop(thread: threading.Thread) -> bool:
+    """Raise ``_TimeIsUp`` in a thread again and again, in case it is caught; whether the thread ended."""
+    for _ in range(int(_PATIENCE_S / 0.05)):
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(_TimeIsUp))
+        thread.join(0.05)
+        if not thread.is_alive():
+            return True
+    return False
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodeInUse:
+    """One sentence: whose code a chapter uses for an exercise, and why."""
+
+    exercise: str
+    state: Literal["yours", "not yet yours", "fails"]
+    why: str = ""
+
+    def __repr__(self) -> str:
+        if self.state == "yours":
+            return f"{self.exercise}: your code is used."
+        return f"{self.exercise}: the reference's is used: {self.why}"
+
+    def _repr_html_(self) -> str:
+        colours = {"yours": "#1a7f37", "not yet yours": "#6e7781", "fails": "#c62828"}
+        return fill("whose_code.html", whose=self, colour=colours[self.state])
+
+    def tell(self) -> None:
+        """Show the sentence in the running cell, or print it."""
+        ipython = sys.modules.get("IPython")
+        if ipython is None or ipython.get_ipython() is None:
+            sys.stdout.write(f"{self}\n")
+        else:
+            ipython.display.display(self)
+
+
+def with_reference(exercise: str, function: Callable[..., Any], reference: Callable[..., Any]) -> Any:
+    """``function``, until a call raises: then a sentence names the line, and ``reference`` answers from there on.
+
+    ``function`` gets copies of tensors and arrays. An interrupt is not caught.
+    """
+    failed = False
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal failed
+        if not failed:
+            copies, named = map(argument_copy, args), {name: argument_copy(value) for name, value in kwargs.items()}
+            try:
+                return plain_value(function(*copies, **named))
+            except Exception as e:
+                failed = True
+                place = line_of_error(e, function)
+                why = f"yours raised {type(e).__name__}{f' in {place}' if place else ''}: {e}"
+                CodeInUse(exercise=exercise, state="fails", why=why).tell()
+        return reference(*args, **kwargs)
+
+    return call
+
+
+def reference_function(exercise: str, solution: Callable[..., Any]) -> Callable[..., Any]:
+    """A copy of a solution under the exercise's name; compilers can read it and ``inspect.getsource`` cannot."""
+    function = inspect.unwrap(solution)
+    code = function.__code__.replace(co_filename=REFERENCE)
+    return types.FunctionType(code, function.__globals__, exercise, function.__defaults__)
+
+
+def keep_source(exercise: str, function: Callable[..., Any]) -> None:
+    """Note the source of a function of the running notebook, with what it uses, in the course file.
+
+    Functions that are not a notebook's, or have no source, are not noted.
+
+    Raises:
+        CourseFileError: the file cannot be read or written.
+    """
+    function = inspect.unwrap(function)
+    is_plain = isinstance(function, types.FunctionType) and function.__closure__ is None
+    if not is_plain or function.__module__ != "__main__" or function.__name__ == "<lambda>":
+        return
+    try:
+        source = "\n".join(_needed(function, set()))
+    except (OSError, TypeError):  # typed where Python keeps no source
+        return
+    note(SECTION, exercise, function=function.__name__, source=source, kept=now())
+
+
+def functions_of_earlier_chapters() -> dict[str, Callable[..., Any]]:
+    """Exercise -> the function noted for it, made from its source; a source that does not run any more is left out.
+
+    Raises:
+        CourseFileError: the file is damaged, or a newer version of the program wrote it.
+    """
+    made = {}
+    for exercise, entry in read_section(SECTION).items():
+        source, file = str(entry.get("source")), f"<your {exercise}>"
+        linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
+        namespace: dict[str, Any] = {"__name__": "__main__"}
+        try:
+            exec(compile(source, file, "exec"), namespace)  # the learner's own code, from the learner's own file
+            made[exercise] = namespace[str(entry.get("function"))]
+        except Exception:
+            continue
+    return {exercise: function for exercise, function in made.items() if callable(function)}
+
+
+def _needed(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
+    """Source of a function, after that of everything in its notebook that it uses: imports, numbers, functions."""
+    seen.add(id(function))
+    for name in sorted(_names(function.__code__)):
+        if name in function.__globals__:
+            yield from _definition(name, function.__globals__[name], seen)
+    yield textwrap.dedent(inspect.getsource(function))
+
+
+def _definition(name: str, value: Any, seen: set[int]) -> Iterator[str]:
+    """Lines that define a global of the notebook; none for what has no short definition, such as an image."""
+    if isinstance(value, types.ModuleType):
+        package, _, module = value.__name__.rpartition(".")
+        yield f"{f'from {package} ' if package else ''}import {module} as {name}"
+        return
+    inner = inspect.unwrap(value) if callable(value) else value
+    if isinstance(inner, types.FunctionType) and inner.__module__ == "__main__":
+        if id(inner) not in seen:
+            yield from _needed(inner, seen)
+        if inner.__name__ != name:
+            yield f"{name} = {inner.__name__}"
+    elif getattr(getattr(inner, "__code__", None), "co_filename", "") == REFERENCE:  # for one not yet written
+        yield f"from {__package__} import exercises; {name} = exercises()[{inner.__name__!r}]._solution"
+    elif callable(value) and getattr(value, "__qualname__", ".").isidentifier():
+        yield f"from {value.__module__} import {value.__qualname__} as {name}"
+    elif isinstance(value, (bool, int, float, str)):
+        yield f"{name} = {value!r}"
+
+
+def _names(code: types.CodeType) -> set[str]:
+    """Global names that a function and the functions inside it may use."""
+    inside = [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
+    return set(code.co_names).union(*(_names(each) for each in inside))
