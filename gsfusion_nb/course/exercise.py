@@ -29,8 +29,8 @@ The judge returns nothing and raises ``Failed`` (through ``close``, ``holds``, `
 does not hold; put the property that explains most mistakes first. Tests run every judge on its solution, which must
 pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
 
-A judged function runs in a thread of its own (``learner_code.py``), for at most ``limit_s``. One that calls the solution, the
-operation that it becomes, or one of ``ready_made`` is refused.
+A judged function runs in a thread of its own (``learner_code.py``), for at most ``limit_s``. One that calls the
+solution, the operation that it becomes, or one of ``ready_made`` is refused.
 
 A function that passes is kept (``course.mine``). ``becomes=Becomes("lift", adapter)`` says which operation of the
 library it replaces under the backend ``mine``; ``adapter(yours, *arguments of the operation)`` calls it. An exercise

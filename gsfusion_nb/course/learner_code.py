@@ -2,7 +2,7 @@
 
 It runs in a thread of its own with a limit of time, and may not call what does the exercise already. Its results become
 plain values. A chapter goes on with it if it passes, else with the reference's. An accepted function is kept as source
-code in the course file: a notebook is a process of its own, so what chapter 2 accepted is not in the memory of chapter 6.
+code in the course file, because a notebook is a process of its own.
 """
 
 import contextvars
