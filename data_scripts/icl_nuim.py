@@ -14,9 +14,8 @@ from pathlib import Path
 import torch
 
 from gsfusion_nb.data import SequenceError
-from gsfusion_nb.data.recorded.find_files import images_in
-from gsfusion_nb.data.recorded.pose_lines import image_number
-from gsfusion_nb.data.recorded.poses import write_pose_lines
+from gsfusion_nb.data.recorded.files import images_in
+from gsfusion_nb.data.recorded.poses import image_number, write_pose_lines
 from gsfusion_nb.recordings import fetch
 from gsfusion_nb.recordings.convert.formats.open3d_log import read_trajectory_file
 from gsfusion_nb.recordings.fetch import Item, Plan, SequenceOnDisk

@@ -3,7 +3,7 @@
     python data_scripts/scannetpp.py /data/scannetpp/data/8b5caf3398 --out data
 
 Photographs are undistorted at half resolution and depth is rendered from the scan's mesh, without a graphics card or
-display. An interrupted run continues with the next picture.
+display.
 """
 
 import sys
@@ -41,7 +41,7 @@ def prepare(scene: Path, options: FetchOptions) -> None:
         fetch.say(describe(scene, target, len(names)))
         fetch.require_space(options.out, len(names) * BYTES_PER_PICTURE, scene.name)
         fetch.agree(options)
-        with fetch.new_folder(target, options.out, resume=True) as folder:
+        with fetch.new_folder(target, options.out) as folder:
             with fetch.counting("picture") as progress:
                 prepare_scene(scene, read_mesh_ply(scene / MESH), folder, progress=progress)
             SEQUENCE.prove(folder)

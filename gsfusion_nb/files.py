@@ -96,33 +96,31 @@ def write_file(path: str | Path, content: bytes | str) -> None:
 
 
 @contextmanager
-def atomic_folder(path: Path, temporary: Path, *, resume: bool = False) -> Iterator[Path]:
+def atomic_folder(path: Path, temporary: Path) -> Iterator[Path]:
     """The folder ``temporary`` to fill, which becomes ``path`` when the block ends without an exception.
 
     After an exception, Ctrl-C included, it is removed; what a killed program left there is removed at the next start.
 
     Args:
-        path: Folder to make.
+        path: Folder to make; an empty one may be there.
         temporary: Where to fill it, on the same disk.
-        resume: Keep the unfinished folder after an exception, and continue with what an earlier call left there.
 
     Raises:
-        FileExistsError: ``path`` exists.
+        FileExistsError: ``path`` exists and is not an empty folder.
     """
-    if path.exists():
-        raise FileExistsError(f"{path} already exists; remove or rename it to make it again")
-    if temporary.exists() and not resume:
+    if path.exists() and not (path.is_dir() and next(path.iterdir(), None) is None):
+        raise FileExistsError(f"{path} already exists; expected the name of a new or empty folder")
+    if temporary.exists():
         shutil.rmtree(temporary)
-    temporary.mkdir(parents=True, exist_ok=True)
-    done = False
+    temporary.mkdir(parents=True)
     try:
         yield temporary
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            path.rmdir()
         move_into_place(temporary, path)
-        done = True
     finally:
-        if not done and not resume:
-            shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def move_into_place(temporary: Path, path: Path) -> None:

@@ -40,7 +40,7 @@ import numpy as np
 import torch
 
 from ...types import Camera, Frame
-from ..recorded.layout import Layout
+from ..recorded.recorded_sequence import Layout
 
 
 class Frames:

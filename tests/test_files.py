@@ -63,34 +63,32 @@ def test_text_is_utf8_and_bytes_are_bytes(tmp_path):
     assert (tmp_path / "bytes").read_bytes() == b"\xff\x00"
 
 
-def fill(path, temporary, resume, error=None):
-    with atomic_folder(path, temporary, resume=resume) as folder:
-        (folder / "deep").mkdir(exist_ok=True)
+def fill(path, temporary, error=None):
+    with atomic_folder(path, temporary) as folder:
+        (folder / "deep").mkdir()
         (folder / "deep" / "x").write_text("1")
         if error:
             raise error
 
 
-def test_folder_is_removed_after_a_failure_or_resumed(tmp_path):
+def test_folder_is_removed_after_a_failure(tmp_path):
     path, temporary = tmp_path / "new" / "a", tmp_path / "work" / "a"
-    for resume in (False, True):
-        with pytest.raises(ZeroDivisionError):
-            fill(path, temporary, resume, ZeroDivisionError)
-        assert temporary.exists() == resume
-        assert not path.exists()
-    with atomic_folder(path, temporary, resume=True) as folder:
-        assert (folder / "deep" / "x").exists()
-    assert (path / "deep" / "x").exists()
+    with pytest.raises(ZeroDivisionError):
+        fill(path, temporary, ZeroDivisionError)
     assert not temporary.exists()
+    assert not path.exists()
+    path.mkdir(parents=True)
+    fill(path, temporary)
+    assert (path / "deep" / "x").exists()
     with pytest.raises(FileExistsError, match="already exists"):
-        fill(path, temporary, False)
+        fill(path, temporary)
 
 
 def test_an_unfinished_folder_of_an_earlier_program_is_removed(tmp_path):
     path, temporary = tmp_path / "a", tmp_path / "work"
     temporary.mkdir()
     (temporary / "half").write_text("x")
-    fill(path, temporary, False)
+    fill(path, temporary)
     assert [p.name for p in path.iterdir()] == ["deep"]
 
 
@@ -180,7 +178,7 @@ def test_a_killed_program_leaves_no_folder(tmp_path, moment):
     target = tmp_path / "a"
     run_until_killed(KILLED_FOLDER.format(target=target, **MOMENTS[moment]))
     assert not target.exists()
-    fill(target, Path(f"{target}.partial"), False)
+    fill(target, Path(f"{target}.partial"))
     assert [p.name for p in target.iterdir()] == ["deep"]
 
 

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.data.recorded.image_header import exr_parts, image_size, png_is_cut
-from gsfusion_nb.data.recorded.images import check_image_size, decode_rgb
+from gsfusion_nb.data.recorded.images import check_image_size, decode_rgb, exr_parts, image_size, png_is_cut
 from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.foreign import (
     inflate,
@@ -50,10 +49,10 @@ ALLOWED = {
     "compare/executors.py": "a picture it has just drawn",
     "data/recorded/images.py": "decodes after the header was looked at",
     "data/room/cache.py": "pictures of its own, from bytes of a limited size",
-    "recordings/convert/image_files.py": "an array whose header was looked at, from bytes of a limited size",
+    "recordings/convert/recording.py": "an array whose header was looked at, from bytes of a limited size",
     "compare/run_all.py": "a picture it has just drawn",
     "recordings/fetch.py": "downloads, a lock of its own, and unpacking into a new folder within a limit",
-    "recordings/convert/formats/ros_unpacking.py": "everything but the reading of bytes, which it bounds",
+    "recordings/convert/formats/ros_bag.py": "everything but the reading of bytes, which it bounds",
     "course/progress.py": "a lock of its own",
     "course/grading/isolated.py": "the sandbox's own words, in a file of limited size",
     "course/sandbox/messages.py": "a message of limited size; whatever a forged one raises is caught",

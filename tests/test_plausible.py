@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError, open_sequence
-from gsfusion_nb.data.lens.camera_model import CameraModel
+from gsfusion_nb.data.lens import CameraModel
 from gsfusion_nb.data.recorded.poses import checked_pose
 from gsfusion_nb.operands import check_depth_scale, check_plausible_camera, is_near
 from gsfusion_nb.recordings.convert.recording import RecordedFrame, Recording, RgbdImages

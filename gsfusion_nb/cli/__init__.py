@@ -203,9 +203,9 @@ def _live(arguments: list[str]) -> int:
 
 
 def _convert(arguments: list[str]) -> int:
-    from ..recordings.convert import command
+    from ..recordings.convert.run import convert_command
 
-    print(command.run(arguments))
+    print(convert_command(arguments))
     return 0
 
 

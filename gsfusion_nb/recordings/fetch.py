@@ -356,13 +356,12 @@ def _report(plan: Plan, folder: Path, target: Path) -> None:
 
 
 @contextmanager
-def new_folder(target: Path, out: Path, *, resume: bool = False) -> Iterator[Path]:
+def new_folder(target: Path, out: Path) -> Iterator[Path]:
     """A folder to fill, which is renamed to ``target`` when it is complete; used by one program at a time.
 
     Args:
         target: The folder to make.
         out: Folder of all data sets.
-        resume: Continue with what an interrupted call left.
 
     Raises:
         FetchError: another program is at work in ``out``. FileExistsError: ``target`` exists.
@@ -373,7 +372,7 @@ def new_folder(target: Path, out: Path, *, resume: bool = False) -> Iterator[Pat
     try:
         if not try_lock(handle):
             raise FetchError(f"another program is fetching into {work}; wait for it, or choose another --out")
-        with atomic_folder(target, work / "unfinished" / target.name, resume=resume) as folder:
+        with atomic_folder(target, work / "unfinished" / target.name) as folder:
             yield folder
     finally:
         os.close(handle)

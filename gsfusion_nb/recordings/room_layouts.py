@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..data.lens.camera_model import CameraModel
+from ..data.lens import CameraModel
 from ..data.readers.replica import DEPTH_SCALE as REPLICA_DEPTH_SCALE
 from ..data.readers.scannetpp import DEPTH_SCALE as SCANNETPP_DEPTH_SCALE
 from ..data.readers.seven_scenes import COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR

@@ -11,13 +11,13 @@ import pytest
 import torch
 
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.data.recorded.image_header import is_to_be_turned
+from gsfusion_nb.data.recorded.images import is_to_be_turned
 from gsfusion_nb.data.stream.growing_folder import GrowingFolder
 from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError, unforeseen
 from gsfusion_nb.export.gaussian_files import read_gaussians
 from gsfusion_nb.files import plain_cell
 from gsfusion_nb.foreign import read_object
-from gsfusion_nb.recordings.convert.formats.colmap_model import read_model
+from gsfusion_nb.recordings.convert.formats.colmap import read_model
 
 
 @pytest.fixture

@@ -29,12 +29,9 @@ from typing import Any
 
 from ...errors import shown
 from ...foreign import read_object
-from ..recorded.camera_json import camera, number, numbers
-from ..recorded.find_files import given_name, images_in, pair_by_stem, require
-from ..recorded.layout import Layout
-from ..recorded.pose_lines import poses_of_images
-from ..recorded.poses import no_poses
-from ..recorded.recorded_sequence import RecordedSequence
+from ..recorded.files import camera, given_name, images_in, number, numbers, pair_by_stem, require
+from ..recorded.poses import no_poses, poses_of_images
+from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import TIMES, times_of_images
 from ..sequence import SequenceError
 

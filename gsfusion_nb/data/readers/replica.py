@@ -11,11 +11,9 @@ from pathlib import Path
 
 from ...foreign import read_object
 from ...types import Camera
-from ..recorded.camera_json import camera, numbers
-from ..recorded.find_files import given_name, images_in, require
-from ..recorded.layout import Layout
+from ..recorded.files import camera, given_name, images_in, numbers, require
 from ..recorded.poses import read_pose_lines
-from ..recorded.recorded_sequence import RecordedSequence
+from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..sequence import SequenceError
 
 LOOKS_FOR = ("results/", "traj.txt")

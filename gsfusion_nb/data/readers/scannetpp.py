@@ -19,10 +19,8 @@ from torch import Tensor
 
 from ...foreign import read_object
 from ...types import Camera
-from ..recorded.camera_json import camera, table
-from ..recorded.find_files import require
-from ..recorded.layout import Layout
-from ..recorded.recorded_sequence import RecordedSequence
+from ..recorded.files import camera, require, table
+from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..sequence import SequenceError, SequenceNotFoundError
 
 LOOKS_FOR = ("nerfstudio/transforms_undistorted*.json", "train_test_lists.json")

@@ -16,12 +16,10 @@ from pathlib import Path
 import torch
 
 from ...types import Camera
-from ..lens.camera_model import CameraModel
-from ..lens.register import Registration
-from ..recorded.find_files import given_name, require
-from ..recorded.layout import Layout
+from ..lens import CameraModel, Registration
+from ..recorded.files import given_name, require
 from ..recorded.poses import read_rows
-from ..recorded.recorded_sequence import RecordedSequence
+from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..sequence import SequenceError, SequenceNotFoundError
 
 log = logging.getLogger(__name__)

@@ -17,14 +17,11 @@ from torch import Tensor
 
 from ...errors import shown
 from ...types import Camera
-from ..lens.camera_model import CameraModel
-from ..lens.undistort import Undistorter
-from ..recorded.associate import associate
-from ..recorded.find_files import given_name, natural_order, own_names, require
-from ..recorded.layout import Layout
+from ..lens import CameraModel, Undistorter
+from ..recorded.files import given_name, natural_order, own_names, require
 from ..recorded.poses import interpolate_rows, matrices, no_poses, read_stamped_poses, read_words
-from ..recorded.recorded_sequence import RecordedSequence
-from ..recorded.stamps import judge_stamps
+from ..recorded.recorded_sequence import Layout, RecordedSequence
+from ..recorded.times import associate, judge_stamps
 from ..sequence import SequenceError
 
 log = logging.getLogger(__name__)

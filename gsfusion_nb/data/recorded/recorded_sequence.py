@@ -1,8 +1,9 @@
-"""A sequence of image files: what every reader returns. Images are decoded on request and not kept."""
+"""A recording on disk as a sequence, which is what every reader returns, and what a reader says about its layout."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 from ...operands import LATEST_S, check_depth_scale, check_plausible_camera
 from ...types import Camera, Frame
 from ..adjust.resize import resize_colour
-from ..sequence import BadFrameError, SequenceError, position
+from ..sequence import BadFrameError, Sequence, SequenceError, position
 from .images import read_depth, read_rgb
 from .poses import checked_pose
 
@@ -121,3 +122,19 @@ class RecordedSequence:
 
 def _wxh(size: tuple[int, ...]) -> str:
     return f"{size[0]}x{size[1]}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """One way to lay out a sequence on disk."""
+
+    read: Callable[..., Sequence]
+    """Reads the folder; its keyword arguments are the options of ``open_sequence`` and of ``--reader``."""
+    looks_for: tuple[str, ...]
+    """Files and folders by which the layout is recognised, patterns allowed; a folder ends in "/"."""
+    locate: Callable[[Path], Path] = lambda path: path
+    """The given folder, or the one inside it that holds these files."""
+    has_splits: bool = False
+    """``read`` takes ``split``, the lists of training and test frames that the data set publishes."""
+    registration: Mapping[str, Any] = field(default_factory=dict)
+    """Options that register colour to depth, where the layout's files are not registered."""

@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from ...data.recorded.depth_unit import USUAL, plausible_range
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence
+from ..convert.depth_unit import USUAL, plausible_range
 from .findings import Finding
 from .sample import Sample
 

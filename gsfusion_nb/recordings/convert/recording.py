@@ -1,15 +1,94 @@
-"""What a reader of a foreign format returns: frames whose images are decoded only on request."""
+"""What a reader of a foreign format takes and returns: options, frames, and images that are decoded on request."""
 
+import io
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from ...data.lens.camera_model import CameraModel
-from ...data.sequence import SequenceError
+from ...checks import check_number
+from ...data.lens import CameraModel
+from ...data.recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
+from ...data.sequence import BadFrameError, SequenceError
+from ...foreign import is_file, parsing
 from ...operands import check_depth_scale, check_plausible_camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class RosOptions:
+    """Topics and frames of a ROS bag; each is found automatically where there is only one candidate."""
+
+    colour_topic: str = ""
+    """Colour images (sensor_msgs/Image or CompressedImage)."""
+    depth_topic: str = ""
+    """Depth images (16UC1 in millimetres, 32FC1 in metres, or compressedDepth)."""
+    pose_topic: str = ""
+    """PoseStamped, PoseWithCovarianceStamped, TransformStamped or Odometry; "tf" takes the transform tree."""
+    camera_info_topic: str = ""
+    """Calibration of the colour camera; found beside the colour topic by default."""
+    world_frame: str = ""
+    """World frame in the transform tree; its root by default."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertOptions:
+    """How a recording is read and written."""
+
+    poses: str = ""
+    """File with the camera's trajectory, if the recording has none; poses are interpolated at the frames' times: TUM
+    text, OKVIS2 or EuRoC csv, ORB-SLAM3 in seconds or nanoseconds. "none" writes no poses at all, for a camera that is
+    to be tracked."""
+    pose_time_unit: Literal["auto", "s", "ms", "us", "ns"] = "auto"
+    """Unit of the trajectory's times; "auto" takes the one in which the time steps are plausible."""
+    max_gap_s: float = 0.2
+    """Largest time between the two poses around a frame; a frame in a longer gap is dropped, seconds."""
+    time_offset_s: float = 0.0
+    """Added to the time of each frame before its pose is interpolated, seconds."""
+    T_cam_body: str = ""
+    """File of 16 numbers: body to camera (Kalibr's T_cam_imu), if the trajectory is that of a body or IMU."""
+    T_body_cam: str = ""
+    """The inverse: camera to body (EuRoC's T_BS, OKVIS's T_SC)."""
+    scale: float = 0.0
+    """Metres per unit of the poses. 0: measured on the depth images for COLMAP, whose poses have no unit; 1 for all
+    other formats."""
+    depth: str = ""
+    """Folder of the depth images if they are not part of the recording; same names as the colour images."""
+    depth_scale: float = 0.0
+    """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; TUM-style folders:
+    inferred from names, depths and poses, or asked for."""
+    depth_along: Literal["auto", "z", "ray"] = "auto"
+    """Whether depth is measured along the optical axis ("z") or along the ray of each pixel ("ray"); "auto": as usual
+    in the format."""
+    intrinsics: str = ""
+    """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", or a file with these
+    numbers, a matrix, or JSON."""
+    pixel_centre: float = 0.0
+    """Coordinate of the first pixel's centre in these intrinsics: 0 as in OpenCV and ROS, 0.5 as in COLMAP."""
+    width: int = 0
+    """Width of the images to write, pixels. 0: that of the colour images, or in proportion to the height."""
+    height: int = 0
+    """Height of the images to write, pixels. 0: that of the colour images, or in proportion to the width."""
+    every: int = 1
+    """Convert every n-th frame."""
+    confidence: int = 1
+    """Record3D: smallest confidence at which a depth pixel is kept, 0 (all), 1 (medium) or 2 (high)."""
+    ros: RosOptions = RosOptions()
+
+    def __post_init__(self):
+        for name in ("max_gap_s", "scale", "depth_scale", "width", "height"):
+            check_number(name, getattr(self, name), low=0)
+        check_number("time_offset_s", self.time_offset_s)
+        check_number("every", self.every, low=1)
+        check_number("confidence", self.confidence, low=0, high=2)
+        if self.pixel_centre not in (0.0, 0.5):
+            raise SequenceError(f"pixel_centre must be 0.0 or 0.5, got {self.pixel_centre}")
+        if self.T_cam_body and self.T_body_cam:
+            raise SequenceError("give T_cam_body or its inverse T_body_cam, not both")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,3 +165,94 @@ class Recording:
             check_depth_scale(self.name, self.depth_scale)
         except ValueError as e:
             raise SequenceError(str(e)) from None
+
+
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".exr")
+
+
+def decode_depth(data: bytes, source: str, scale: float) -> np.ndarray:
+    """Depth in metres of a one-channel image of 16-bit or float numbers, 0 = missing, float32. [H, W]
+
+    Args:
+        data: PNG, TIFF or PGM.
+        source: Its name, for messages.
+        scale: Stored value of one metre.
+    """
+    import cv2
+
+    raw = decode_image(data, cv2.IMREAD_UNCHANGED, source, "depth")
+    if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32, np.float64):
+        channels = 1 if raw.ndim == 2 else raw.shape[2]
+        raise BadFrameError(
+            f"{source} must be a depth image of one channel, 16-bit or float, got {raw.dtype} with {channels}"
+        )
+    return metres(raw, scale)
+
+
+def read_depth_file(path: Path, scale: float) -> np.ndarray:
+    """Depth in metres of a PNG, TIFF, PGM, NumPy or OpenEXR file, 0 = missing, float32. [H, W]"""
+    if path.suffix.lower() == ".npy":
+        return metres(_numpy_array(path), scale)
+    if path.suffix.lower() == ".exr":
+        return metres(_exr_channel(path), scale)
+    return decode_depth(read_image_bytes(path, "depth"), str(path), scale)
+
+
+def metres(raw: np.ndarray, scale: float) -> np.ndarray:
+    """Stored depth as metres; NaN, infinities and negative values become 0 (missing), float32."""
+    depth_m = raw.astype(np.float32) * np.float32(1.0 / scale)
+    depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = 0.0
+    return depth_m
+
+
+def load_pair(colour: Path, depth: Path, scale: float) -> RgbdImages:
+    """Colour and depth of two files. Raises ``BadFrameError`` naming the one that cannot be used."""
+    return with_colour(read_image_bytes(colour, "colour"), str(colour), read_depth_file(depth, scale))
+
+
+def with_colour(data: bytes, source: str, depth_m: np.ndarray) -> RgbdImages:
+    """An encoded colour image, decoded, and depth in metres."""
+    return RgbdImages(decode_rgb(data, source), depth_m, data if is_picture_file(data) else b"")
+
+
+def is_picture_file(data: bytes) -> bool:
+    """Whether these bytes are a JPEG or PNG file, which can be written unchanged."""
+    return data[:2] == b"\xff\xd8" or data[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def find_depth(folder: Path, stem: str) -> Path:
+    """Depth file of the colour image ``stem``: the same name with any known suffix. The file may be missing."""
+    found = (folder / f"{stem}{s}" for s in DEPTH_SUFFIXES)
+    return next((p for p in found if is_file(p)), folder / f"{stem}.png")
+
+
+def _numpy_array(path: Path) -> np.ndarray:
+    what = "a NumPy array of depth"
+    data = io.BytesIO(read_image_bytes(path, "depth"))
+    with parsing(path, what, BadFrameError):
+        version = np.lib.format.read_magic(data)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(data, max_header_size=10_000)
+        if dtype.itemsize * math.prod(shape) > len(data.getbuffer()):
+            raise BadFrameError(f"{path} claims an array {list(shape)} of {dtype}, more than it holds; expected {what}")
+        data.seek(0)
+        array = np.squeeze(np.load(data, allow_pickle=False))
+    if array.ndim != 2 or array.dtype.kind not in "fu":
+        raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
+    return array
+
+
+def _exr_channel(path: Path) -> np.ndarray:
+    try:
+        import OpenEXR  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise SequenceError(
+            f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install OpenEXR"
+        ) from None
+    check_image_size(read_image_bytes(path, "depth"), path, "depth")
+    with parsing(path, "depth as OpenEXR", BadFrameError), OpenEXR.File(str(path)) as file:
+        channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    array = next((channels[n] for n in ("Z", "Y", "R", "RGB", "RGBA") if n in channels), None)
+    if array is None:
+        raise BadFrameError(f"{path} has the channels {', '.join(channels)}; expected depth in Z, Y or R")
+    return array if array.ndim == 2 else array[..., 0]

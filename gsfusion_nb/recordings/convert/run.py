@@ -1,31 +1,34 @@
-"""Converting a recording into the plain ``folder`` layout, one frame at a time."""
+"""``gsfusion-nb convert``: a recording into the plain ``folder`` layout, one frame at a time."""
 
 import dataclasses
 import itertools
+import json
 import statistics
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+import tyro
 
-from ...data.lens.camera_model import CameraModel
-from ...data.recorded.stamps import Stamps, judge_stamps
+from ...checks import check_name
+from ...config.option_help import parse_options
+from ...data.lens import CameraModel
+from ...data.recorded.times import judge_stamps
 from ...data.sequence import BadFrameError, SequenceError
+from ...files import atomic_folder
 from ...types import Camera
 from ...work import ProgressDisplay
-from .detect import FORMATS, detect_format
-from .frame_poses import FramePoses
-from .intrinsics import read_intrinsics
-from .options import ConvertOptions
-from .recording import RecordedFrame, Recording, RgbdImages
-from .rectify import Rectifier, output_camera
-from .staging import JournalEntry, Staging
+from .camera import Rectifier, output_camera, read_intrinsics
+from .formats import FORMATS, detect_format, known_formats
+from .recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
+from .trajectory import FramePoses
 
 MILLIMETRES = 1000.0
 _FINEST, _COARSEST = 20000.0, 200.0
 """Depth scales of a recording that are kept; others (metres, floating point) are written in millimetres."""
+JPEG_QUALITY = 95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +49,6 @@ class ConvertReport:
     depth_scale: float
     has_poses: bool
     notes: tuple[str, ...]
-
-    @staticmethod
-    def of_document(document: dict[str, Any]) -> "ConvertReport":
-        """From ``conversion.json``."""
-        values: dict[str, Any] = {f.name: document[f.name] for f in dataclasses.fields(ConvertReport)}
-        values |= {name: tuple(values[name]) for name in ("examples", "notes")}
-        return ConvertReport(**values | {"out": Path(values["out"]), "camera": Camera(**values["camera"])})
 
     def __str__(self) -> str:
         c = self.camera
@@ -79,9 +75,9 @@ def convert(
 ) -> ConvertReport:
     """Write a recording in another format as a ``folder`` sequence (``gsfusion_nb.data.readers.folder``).
 
-    Frames are read and written one by one. They are collected in ``OUT.partial`` and appear as ``OUT`` when all is
-    done; an interrupted conversion continues where it stopped when it is called again. Colour images that need no
-    change are copied. Frames without pose, with damaged images or without depth are left out and counted.
+    Frames are read and written one by one, and ``OUT`` appears when all is done: after an error, or Ctrl-C, nothing is
+    left. Colour images that need no change are copied. Frames without pose, with damaged images or without depth are
+    left out and counted.
 
     Args:
         source: File or folder of the recording.
@@ -92,126 +88,132 @@ def convert(
 
     Raises:
         SequenceError: the recording cannot be read, needs an option that is not given, or no frame of it is usable.
+        FileExistsError: ``out`` is a file, or a folder that is not empty.
         KeyError: unknown format.
     """
     options = options or ConvertOptions()
-    path = Path(source).expanduser()
-    name = detect_format(path) if format == "auto" else format
-    if name not in FORMATS:
-        raise KeyError(f"no format {name!r}; known: {', '.join(FORMATS)}")
-    recording = FORMATS[name].read(path, options)
-    poses = FramePoses(recording, options)
-    plan = {"format": name, "source": str(path.resolve()), "options": dataclasses.asdict(options)}
-    staging = Staging(Path(out), plan)
-    if staging.finished is not None:
-        return ConvertReport.of_document(staging.finished)
-    try:
-        conversion = _Conversion(recording, options, poses, staging)
-        conversion.run(progress)
-        return conversion.finish(name)
-    except KeyboardInterrupt as e:
-        e.add_note(f"{len(staging.kept)} frames are in {staging.folder}; repeat the command to continue")
-        raise
-    except BaseException:
-        staging.remove()
-        raise
-
-
-def _time_note(stamps: Stamps) -> list[str]:
-    why = stamps.why_not
-    return [f"the recorded times are not times: {why}; no times or frame rate are written"] if why else []
+    path, out = Path(source).expanduser(), Path(out)
+    check_name("format", format, ("auto", *FORMATS))
+    with atomic_folder(out, out.with_name(f".{out.name}.partial")) as folder:
+        name = detect_format(path) if format == "auto" else format
+        recording = FORMATS[name].read(path, options)
+        conversion = _Conversion(recording, options, folder)
+        with ProgressDisplay("converting", total=recording.n_frames, unit="frame", shown=progress) as display:
+            for frame in itertools.islice(display.over(recording.frames()), 0, None, options.every):
+                conversion.add(frame)
+        return conversion.finish(name, out)
 
 
 class _Conversion:
-    """One pass over the frames of a recording."""
+    """One pass over the frames of a recording: images are written at once, poses and times at the end."""
 
-    def __init__(self, recording: Recording, options: ConvertOptions, poses: FramePoses, staging: Staging):
-        self._recording, self._options, self._poses, self._staging = recording, options, poses, staging
+    def __init__(self, recording: Recording, options: ConvertOptions, folder: Path):
+        self._recording, self._options, self._folder = recording, options, folder
+        self._poses = FramePoses(recording, options)
         scale = options.depth_scale or recording.depth_scale
-        self.depth_scale = scale if _COARSEST <= scale <= _FINEST else MILLIMETRES
+        self._depth_scale = scale if _COARSEST <= scale <= _FINEST else MILLIMETRES
         along = options.depth_along
         self._along_ray = recording.depth_along_ray if along == "auto" else along == "ray"
         self._rectifier: Rectifier | None = None
-        if staging.camera is not None:
-            self._rectifier = Rectifier(staging.camera, along_ray=self._along_ray)
+        self._dropped: Counter[str] = Counter()
+        self._errors: list[str] = []
+        self._times: list[float | None] = []
+        self._lines: list[str] = []
+        """The poses of the frames that were written."""
+        self._far_pixels = 0
+        for kind in ("rgb", "depth"):
+            (folder / kind).mkdir()
 
-    def run(self, progress: bool) -> None:
-        """Convert the frames that are not in the journal yet."""
-        with ProgressDisplay("converting", total=self._recording.n_frames, unit="frame", shown=progress) as shown:
-            for i, frame in enumerate(shown.over(self._recording.frames())):
-                if i % self._options.every == 0 and i // self._options.every >= self._staging.resumed:
-                    self._convert(i, frame)
-
-    def finish(self, format: str) -> ConvertReport:
-        """Put the result in place and report on it."""
-        rows, kept = self._staging.rows, self._staging.kept
-        dropped = dict(Counter(self._recording.dropped) + Counter(r.dropped for r in rows if r.dropped))
-        examples = [r.detail for r in rows if r.detail]
-        if not kept or self._rectifier is None:
-            told = "; ".join([*(f"{n} left out: {reason}" for reason, n in dropped.items()), *examples[:1]])
-            hint = self._time_hint(rows)
-            raise SequenceError(
-                f"{self._recording.name}: no frame can be used ({told or 'it has none'}){hint}; expected at least one"
-            )
-        times = [r.time_s for r in kept if r.time_s is not None]
-        stamps = judge_stamps(times, unit="s")
-        if stamps.times_s is None:
-            self._staging.forget_times()
-        steps = [b - a for a, b in itertools.pairwise(stamps.times_s or []) if b > a]
-        report = ConvertReport(
-            out=self._staging.out,
-            format=format,
-            frames_read=len(rows),
-            frames=len(kept),
-            dropped=dropped,
-            examples=tuple(examples[:3]),
-            camera=self._rectifier.camera,
-            depth_scale=self.depth_scale,
-            has_poses=not self._poses.none,
-            notes=(*self._recording.notes, *self._poses.notes, *self._far_note(), *_time_note(stamps)),
-        )
-        settings: dict[str, Any] = {"depth_scale": self.depth_scale}
-        if steps:
-            settings["fps"] = 1.0 / statistics.median(steps)
-        written = {**dataclasses.asdict(report), "out": str(report.out), "source": self._recording.name}
-        self._staging.finish(report.camera, settings, written)
-        return report
-
-    def _convert(self, i: int, frame: RecordedFrame) -> None:
-        try:
-            T_WC, reason = self._poses.of(frame) if not self._poses.none else (None, "")
-        except BadFrameError as e:
-            self._staging.drop(i, "pose is not rigid", str(e))
-            return
-        if reason:
-            self._staging.drop(i, reason)
-            return
+    def add(self, frame: RecordedFrame) -> None:
+        """Write a frame, or leave it out and count why."""
+        T_WC = None
+        if not self._poses.none:
+            try:
+                T_WC, reason = self._poses.of(frame)
+            except BadFrameError as e:
+                return self._drop("pose is not rigid", str(e))
+            if T_WC is None:
+                return self._drop(reason)
         try:
             images = frame.load()
         except BadFrameError as e:
-            self._staging.drop(i, "image missing or damaged", str(e))
-            return
+            return self._drop("image missing or damaged", str(e))
         try:
             rectified = self._rectified(frame, images)
         except SequenceError:
             raise
         except ValueError as e:
             raise SequenceError(f"{frame.source}: {e}") from None
-        depth, far_pixels = self._quantised(rectified.depth_m)
+        stored = np.rint(rectified.depth_m * np.float32(self._depth_scale))
+        far = stored > 65535
+        depth = np.where(far, 0, stored).astype(np.uint16)
         if not depth.any():
-            self._staging.drop(i, "no depth", f"{frame.source} holds no depth that can be written")
-            return
-        numbers = () if T_WC is None else tuple(T_WC.flatten().tolist())
-        row = JournalEntry(i, time_s=frame.time_s, T_WC=numbers, far_pixels=far_pixels)
+            return self._drop("no depth", f"{frame.source} holds no depth that can be written")
         lossless = not images.encoded.startswith(b"\xff\xd8")
-        self._staging.write(row, rectified.encoded or rectified.rgb, depth, lossless=lossless)
+        self._write(rectified.encoded or rectified.rgb, depth, lossless=lossless)
+        self._far_pixels += int(far.sum())
+        self._times.append(frame.time_s)
+        if T_WC is not None:
+            self._lines.append(" ".join(repr(v) for v in T_WC.flatten().tolist()))
+        return None
+
+    def finish(self, format: str, out: Path) -> ConvertReport:
+        """Write intrinsics, poses, times and the report."""
+        dropped = dict(Counter(self._recording.dropped) + self._dropped)
+        if not self._times or self._rectifier is None:
+            told = "; ".join([*(f"{n} left out: {reason}" for reason, n in dropped.items()), *self._errors[:1]])
+            raise SequenceError(
+                f"{self._recording.name}: no frame can be used ({told or 'it has none'}){self._time_hint()}; expected "
+                "at least one"
+            )
+        stamps = judge_stamps([t for t in self._times if t is not None], unit="s")
+        notes = [*self._recording.notes, *self._poses.notes]
+        if self._far_pixels:
+            limit = 65535 / self._depth_scale
+            notes.append(
+                f"{self._far_pixels} pixels beyond {limit:.1f} m, the limit of 16-bit depth, were set to missing"
+            )
+        if stamps.times_s is None:
+            notes.append(f"the recorded times are not times: {stamps.why_not}; no times or frame rate are written")
+            self._times = [None] * len(self._times)
+        report = ConvertReport(
+            out=out,
+            format=format,
+            frames_read=len(self._times) + self._dropped.total(),
+            frames=len(self._times),
+            dropped=dropped,
+            examples=tuple(self._errors[:3]),
+            camera=self._rectifier.camera,
+            depth_scale=self._depth_scale,
+            has_poses=not self._poses.none,
+            notes=tuple(notes),
+        )
+        steps = [b - a for a, b in itertools.pairwise(stamps.times_s or []) if b > a]
+        intrinsics = {
+            **{k: getattr(report.camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")},
+            "pixel_centre": 0.5,
+            "pose_convention": "camera-to-world, OpenCV axes, metres",
+            "depth_scale": self._depth_scale,
+            **({"fps": 1.0 / statistics.median(steps)} if steps else {}),
+        }
+        rows = (f"{i:06d} {'nan' if t is None else repr(t)}" for i, t in enumerate(self._times))
+        if self._lines:
+            (self._folder / "poses.txt").write_text("\n".join([*self._lines, ""]))
+        (self._folder / "times.txt").write_text("\n".join(["frame time_s", *rows, ""]))
+        (self._folder / "intrinsics.json").write_text(json.dumps(intrinsics, indent=1))
+        document = {**dataclasses.asdict(report), "out": str(out), "source": self._recording.name}
+        (self._folder / "conversion.json").write_text(json.dumps(document, indent=1))
+        return report
+
+    def _drop(self, reason: str, error: str = "") -> None:
+        self._dropped[reason] += 1
+        self._errors += [error] if error else []
 
     def _rectified(self, frame: RecordedFrame, images: RgbdImages) -> RgbdImages:
         height, width = images.rgb.shape[:2]
         model = self._model(frame, (width, height))
         if self._rectifier is None:
             camera = output_camera(model.fitted(width, height, frame.source), self._options.width, self._options.height)
-            self._staging.set_camera(camera)
             self._rectifier = Rectifier(camera, along_ray=self._along_ray)
         return self._rectifier(frame, model, images)
 
@@ -221,29 +223,70 @@ class _Conversion:
         if frame.model is None:
             raise SequenceError(
                 f"{self._recording.name} does not contain the camera's intrinsics; give --intrinsics 'fx fy cx cy' "
-                "(pixels), "
-                "or a file with them"
+                "(pixels), or a file with them"
             )
         return frame.model
 
-    def _quantised(self, depth_m: np.ndarray) -> tuple[np.ndarray, int]:
-        """Stored depth, and how many pixels are farther than it can say."""
-        stored = np.rint(depth_m * np.float32(self.depth_scale))
-        far = stored > 65535
-        return np.where(far, 0, stored).astype(np.uint16), int(far.sum())
+    def _write(self, rgb: np.ndarray | bytes, depth: np.ndarray, *, lossless: bool) -> None:
+        """Write colour and depth of one frame.
 
-    def _far_note(self) -> list[str]:
-        far_pixels = sum(row.far_pixels for row in self._staging.kept)
-        if not far_pixels:
-            return []
-        limit = 65535 / self.depth_scale
-        return [f"{far_pixels} pixels beyond {limit:.1f} m, the limit of 16-bit depth, were set to missing"]
+        Args:
+            rgb: A JPEG or PNG file, which is written unchanged, or RGB, uint8. [H, W, 3]
+            depth: Stored depth, uint16. [H, W]
+            lossless: Write RGB as PNG; otherwise as JPEG, for images that were JPEG before they were resampled.
+        """
+        import cv2
 
-    def _time_hint(self, rows: list[JournalEntry]) -> str:
+        name = f"{len(self._times):06d}"
+        if isinstance(rgb, bytes):
+            suffix, data = (".png" if rgb[:4] == b"\x89PNG" else ".jpg"), rgb
+        else:
+            suffix = ".png" if lossless else ".jpg"
+            full_colour = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+            options = [] if lossless else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *full_colour]
+            data = _encoded(suffix, rgb[..., ::-1], options)
+        (self._folder / "rgb" / f"{name}{suffix}").write_bytes(data)
+        (self._folder / "depth" / f"{name}.png").write_bytes(_encoded(".png", depth, []))
+
+    def _time_hint(self) -> str:
         """Both time ranges, if no frame has a pose in the trajectory."""
         trajectory = self._poses.trajectory
-        if trajectory is None or not rows:
+        if trajectory is None or not self._dropped:
             return ""
         first, last = float(trajectory.stamps_s[0]), float(trajectory.stamps_s[-1])
         frame = next(iter(self._recording.frames()))
         return f"; the trajectory spans {first:.3f} to {last:.3f} s, the first frame is at {frame.time_s} s"
+
+
+def _encoded(suffix: str, image: np.ndarray, options: list[int]) -> bytes:
+    import cv2
+
+    done, data = cv2.imencode(suffix, np.ascontiguousarray(image), options)
+    if not done:
+        raise BadFrameError(f"an image of {image.shape[1]}x{image.shape[0]} cannot be written as {suffix}")
+    return data.tobytes()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertCommand:
+    """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
+    are written one by one, and OUT appears when all is done."""
+
+    words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")]
+    """FORMAT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if omitted.
+    SOURCE: the file or folder of the recording. OUT: a new folder."""
+    options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
+
+
+def convert_command(arguments: list[str]) -> ConvertReport:
+    """Convert as the arguments of ``gsfusion-nb convert`` say.
+
+    Raises:
+        ValueError: other arguments than [FORMAT] SOURCE OUT.
+    """
+    command = parse_options(ConvertCommand, prog="gsfusion-nb convert", arguments=arguments)
+    if not 2 <= len(command.words) <= 3:
+        listed = "\n".join(f"  {name:<10} {looks_for}" for name, looks_for in known_formats().items())
+        raise ValueError(f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}")
+    *format, source, out = command.words
+    return convert(source, out, format=format[0] if format else "auto", options=command.options, progress=True)

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from ...types import Camera, Frame
-from ..recorded.find_files import require
-from ..recorded.layout import Layout
+from ..recorded.files import require
+from ..recorded.recorded_sequence import Layout
 
 LOOKS_FOR = ("toy.npz",)
 

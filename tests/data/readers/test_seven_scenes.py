@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError, open_sequence
-from gsfusion_nb.data.lens.register import warp_depth
+from gsfusion_nb.data.lens import warp_depth
 from gsfusion_nb.data.readers import seven_scenes
 from gsfusion_nb.data.readers.seven_scenes import COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR
 from gsfusion_nb.types import Camera

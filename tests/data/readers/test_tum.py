@@ -8,8 +8,7 @@ import torch
 
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence
 from gsfusion_nb.data.adjust.depth_agreement import depth_agreement
-from gsfusion_nb.data.lens.camera_model import CameraModel
-from gsfusion_nb.data.lens.undistort import Undistorter
+from gsfusion_nb.data.lens import CameraModel, Undistorter
 from gsfusion_nb.data.readers import tum
 from gsfusion_nb.data.readers.tum import LENSES
 from gsfusion_nb.data.recorded.poses import interpolate_rows

@@ -1,6 +1,6 @@
 """Pairing by time."""
 
-from gsfusion_nb.data.recorded.associate import associate
+from gsfusion_nb.data.recorded.times import associate
 
 
 def test_nearest_within_the_limit():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsfusion_nb.data.recorded.stamps import judge_stamps
+from gsfusion_nb.data.recorded.times import judge_stamps
 
 CAMERA = [1305031102.17 + i / 30 for i in range(12)]
 

@@ -8,7 +8,7 @@ import torch
 
 from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.stream import AzureKinect, BackgroundFrames, CameraNotFoundError, RealSense
-from gsfusion_nb.data.stream.kinect import _SIZES
+from gsfusion_nb.data.stream.cameras import _SIZES
 from gsfusion_nb.types import Frame
 
 _spec = importlib.util.spec_from_file_location("fake_drivers", Path(__file__).with_name("fake_drivers.py"))

@@ -10,9 +10,9 @@ import torch
 
 from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data.recorded.images import is_complete_image
 from gsfusion_nb.data.stream import GrowingFolder
-from gsfusion_nb.data.stream.appended_lines import AppendedLines
-from gsfusion_nb.data.stream.complete_image import is_complete_image
+from gsfusion_nb.data.stream.growing_folder import AppendedLines
 from gsfusion_nb.types import Frame
 
 

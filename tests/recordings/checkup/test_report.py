@@ -164,7 +164,7 @@ def test_seven_scenes_is_told_to_register(shared_sequence, tmp_path):
     """Colour of a second camera, in the layout of 7-Scenes: the reader has a better repair than a shift."""
     import cv2
 
-    from gsfusion_nb.data.lens.register import warp_depth
+    from gsfusion_nb.data.lens import warp_depth
     from gsfusion_nb.data.readers import seven_scenes
     from gsfusion_nb.data.readers.seven_scenes import DEPTH_CAMERA, T_DEPTH_COLOUR
 

@@ -5,7 +5,7 @@ import torch
 
 from gsfusion_nb.data.room import render_room, room, room_mesh
 from gsfusion_nb.geometry import pixel_grid, rays, se3
-from gsfusion_nb.recordings.convert.mesh_depth import NEAR_M, mesh_depth
+from gsfusion_nb.recordings.convert.scannetpp_scene import NEAR_M, mesh_depth
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=61, height=47, fx=40.0, fy=42.0, cx=29.3, cy=24.1)

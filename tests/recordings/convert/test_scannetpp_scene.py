@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data.lens.camera_model import CameraModel
+from gsfusion_nb.data.lens import CameraModel
 from gsfusion_nb.data.readers import scannetpp
 from gsfusion_nb.recordings.convert.scannetpp_scene import HalfSizePinhole, mesh_in_transforms_world, prepare_scene
 from gsfusion_nb.recordings.fetch import FetchError

@@ -15,17 +15,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ....data.lens.camera_model import CameraModel
-from ....data.recorded.find_files import images_in
+from ....data.lens import CameraModel
+from ....data.recorded.files import images_in
 from ....data.recorded.images import read_image_bytes
 from ....data.recorded.poses import matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....errors import shown
 from ....foreign import read_text
 from ....types import Camera
-from ..image_files import load_pair, metres, with_colour
-from ..options import ConvertOptions
-from ..recording import RecordedFrame, Recording, RgbdImages
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, metres, with_colour
 
 _WIDTH, _HEIGHT = 640, 480
 _MODEL = CameraModel(Camera(width=_WIDTH, height=_HEIGHT, fx=481.2, fy=480.0, cx=319.5 + 0.5, cy=239.5 + 0.5))

@@ -17,17 +17,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ....data.lens.camera_model import CameraModel
-from ....data.recorded.camera_json import number, table
-from ....data.recorded.find_files import natural_order
+from ....data.lens import CameraModel
+from ....data.recorded.files import natural_order, number, table
 from ....data.sequence import SequenceError
 from ....errors import shown
 from ....foreign import is_file, read_object
 from ....geometry import se3
-from ..image_files import find_depth, load_pair
-from ..intrinsics import model_of
-from ..options import ConvertOptions
-from ..recording import RecordedFrame, Recording
+from ..camera import model_of
+from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
 
 _GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")

@@ -15,16 +15,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ....data.lens.camera_model import CameraModel
-from ....data.recorded.camera_json import table
-from ....data.recorded.find_files import images_in, natural_order
+from ....data.lens import CameraModel
+from ....data.recorded.files import images_in, natural_order, table
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....foreign import read_bytes, read_object, read_text
 from ....geometry import se3
-from ..image_files import DEPTH_SUFFIXES, load_pair
-from ..intrinsics import intrinsics_of_json, model_of_object
-from ..options import ConvertOptions
-from ..recording import RecordedFrame, Recording
+from ..camera import intrinsics_of_json, model_of_object
+from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair
 
 _COLOUR = ("color", "image", "rgb", "images")
 _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")

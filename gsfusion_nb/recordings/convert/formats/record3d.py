@@ -20,17 +20,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ....data.lens.camera_model import CameraModel
-from ....data.recorded.camera_json import number, table
+from ....data.lens import CameraModel
+from ....data.recorded.files import number, table
 from ....data.recorded.images import MAX_PIXELS, read_image_bytes
 from ....data.recorded.poses import matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....errors import shown
 from ....foreign import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
-from ..image_files import load_pair, metres, with_colour
-from ..intrinsics import model_of
-from ..options import ConvertOptions
-from ..recording import RecordedFrame, Recording, RgbdImages
+from ..camera import model_of
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, metres, with_colour
 
 _GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))

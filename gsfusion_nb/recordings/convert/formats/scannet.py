@@ -4,26 +4,40 @@ Poses are camera-to-world with OpenCV axes, -inf where tracking was lost. Depth 
 its own scale); depth images are smaller than colour and have their own intrinsics; pixel centres at integers.
 """
 
+import math
+import os
+import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ....data.lens.camera_model import CameraModel
-from ....data.recorded.find_files import images_in
+from ....data.lens import CameraModel
+from ....data.recorded.files import images_in
 from ....data.recorded.images import read_image_bytes, read_rgb
-from ....data.recorded.pose_lines import image_number
-from ....data.sequence import SequenceError, SequenceNotFoundError
-from ..image_files import decode_depth, find_depth, load_pair
-from ..intrinsics import model_of_matrix
-from ..options import ConvertOptions
-from ..recording import RecordedFrame, Recording
+from ....data.recorded.poses import image_number
+from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from ....foreign import inflate, open_regular, read_exactly
+from ....geometry import se3
+from ..camera import model_of_matrix
+from ..recording import (
+    ConvertOptions,
+    RecordedFrame,
+    Recording,
+    RgbdImages,
+    decode_depth,
+    find_depth,
+    load_pair,
+    metres,
+    with_colour,
+)
 from ..trajectory import read_numbers
-from . import scannet_sens
-from .scannet_sens import FRAMES_PER_S, registration
 
 
 def recognise(path: Path) -> bool:
@@ -38,7 +52,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     if root is None:
         if sens is None:
             raise SequenceNotFoundError(f"{path} holds neither a .sens file nor color/, depth/ and pose/")
-        return scannet_sens.read(sens, options)
+        return read_sens(sens, options)
     colour = images_in(root / "color")
     scale = options.depth_scale or 1000.0
     models = {kind: _model(root, kind, colour) for kind in ("color", "depth")}
@@ -115,3 +129,127 @@ def _pose(file: Path) -> Float[Tensor, "4 4"]:
     if len(values) != 16:
         return torch.full((4, 4), torch.nan, dtype=torch.float64)
     return torch.tensor(values, dtype=torch.float64).reshape(4, 4)
+
+
+FRAMES_PER_S = 30.0
+"""Of exported scans, whose files hold no times."""
+
+_VERSION = 4
+_COLOUR = {0: "raw", 1: "png", 2: "jpeg"}
+_DEPTH = {0: "raw_ushort", 1: "zlib_ushort", 2: "occi_ushort"}
+_FRAME = struct.Struct("<16f4Q")
+
+
+@dataclass(frozen=True, eq=False)
+class _Header:
+    colour: CameraModel
+    depth: CameraModel
+    extrinsic_colour: Float[Tensor, "4 4"]
+    extrinsic_depth: Float[Tensor, "4 4"]
+    compression: str
+    """Of depth."""
+    units_per_m: float
+    n_frames: int
+    frames_at: int
+    """Place of the first frame, bytes."""
+
+
+def read_sens(path: Path, options: ConvertOptions) -> Recording:
+    """Frames of a .sens file, one in memory at a time.
+
+    Raises:
+        SequenceError: another version, an unknown compression, or a truncated header.
+    """
+    with open_regular(path, "a ScanNet .sens file") as file:
+        header = _read_header(file, path)
+    scale = options.depth_scale or header.units_per_m
+    T_colour_depth, T_rig_colour = registration(header.extrinsic_colour, header.extrinsic_depth)
+
+    def recorded_frames() -> Iterator[RecordedFrame]:
+        with open_regular(path, "a ScanNet .sens file") as file:
+            size = os.fstat(file.fileno()).st_size
+            file.seek(header.frames_at)
+            for i in range(header.n_frames):
+                head = file.read(_FRAME.size)
+                if len(head) < _FRAME.size:
+                    raise SequenceError(
+                        f"{path} is truncated: it ends at frame {i} of {header.n_frames}; download it again"
+                    )
+                *pose, colour_us, _, colour_bytes, depth_bytes = _FRAME.unpack(head)
+                source = f"{path} frame {i}"
+                if colour_bytes + depth_bytes > size - file.tell():
+                    raise SequenceError(
+                        f"{path} is truncated: it ends at frame {i} of {header.n_frames}; download it again"
+                    )
+                data = file.read(colour_bytes), file.read(depth_bytes)
+                yield RecordedFrame(
+                    source=source,
+                    time_s=colour_us / 1e6 if colour_us else i / FRAMES_PER_S,
+                    model=header.colour,
+                    depth_model=header.depth,
+                    T_colour_depth=T_colour_depth,
+                    T_WC=torch.tensor(pose, dtype=torch.float64).reshape(4, 4) @ T_rig_colour,
+                    load=partial(_load, data, header, scale, source),
+                )
+
+    return Recording(
+        name=str(path),
+        frames=recorded_frames,
+        n_frames=header.n_frames,
+        depth_scale=scale,
+        notes=(f"depth read as {scale:g} per metre",),
+    )
+
+
+def registration(
+    T_rig_colour: Float[Tensor, "4 4"], T_rig_depth: Float[Tensor, "4 4"]
+) -> tuple[Float[Tensor, "4 4"] | None, Float[Tensor, "4 4"]]:
+    """From depth camera to colour camera (None if they are one), and from colour camera to the posed rig."""
+    T = se3.inverse(T_rig_colour) @ T_rig_depth
+    return (None if torch.allclose(T, torch.eye(4, dtype=T.dtype), atol=1e-5) else T), T_rig_colour
+
+
+def _read_header(file: BinaryIO, path: Path) -> _Header:
+    version, length = struct.unpack("<IQ", read_exactly(file, 12, path))
+    if version != _VERSION or length > 4096:
+        raise SequenceError(
+            f"{path} begins with version {version}; expected a ScanNet .sens file of version {_VERSION}"
+        )
+    read_exactly(file, length, path)
+    matrices = [list(struct.unpack("<16f", read_exactly(file, 64, path))) for _ in range(4)]
+    colour, depth = struct.unpack("<ii", read_exactly(file, 8, path))
+    if _COLOUR.get(colour) not in ("jpeg", "png") or _DEPTH.get(depth) not in ("zlib_ushort", "raw_ushort"):
+        raise SequenceError(
+            f"{path} packs colour as {_COLOUR.get(colour, colour)} and depth as {_DEPTH.get(depth, depth)}; expected "
+            "jpeg or png, and zlib_ushort or raw_ushort"
+        )
+    *sizes, units, n_frames = struct.unpack("<4IfQ", read_exactly(file, 28, path))
+    if not 0 < units < math.inf:
+        raise SequenceError(f"{path} says that one metre is {units} in depth; expected a number above 0")
+    room = os.fstat(file.fileno()).st_size - file.tell()
+    if n_frames * _FRAME.size > room:
+        raise SequenceError(f"{path} claims {n_frames} frames and has {room} bytes for them; download it again")
+    extrinsic_colour, extrinsic_depth = (torch.tensor(matrices[i], dtype=torch.float64).reshape(4, 4) for i in (1, 3))
+    return _Header(
+        model_of_matrix(matrices[0], (sizes[0], sizes[1]), f"{path}: colour intrinsics", centre=0.0),
+        model_of_matrix(matrices[2], (sizes[2], sizes[3]), f"{path}: depth intrinsics", centre=0.0),
+        extrinsic_colour,
+        extrinsic_depth,
+        _DEPTH[depth],
+        units,
+        n_frames,
+        file.tell(),
+    )
+
+
+def _load(data: tuple[bytes, bytes], header: _Header, scale: float, source: str) -> RgbdImages:
+    camera = header.depth.camera
+    packed = data[1]
+    if header.compression == "zlib_ushort":
+        packed = inflate(packed, f"{source}: depth", at_most=2 * camera.width * camera.height)
+    if len(packed) != 2 * camera.width * camera.height:
+        raise BadFrameError(
+            f"{source}: depth has {len(packed)} bytes; expected {camera.width}x{camera.height} of 2 each"
+        )
+    raw = np.frombuffer(packed, "<u2").reshape(camera.height, camera.width)
+    return with_colour(data[0], source, metres(raw, scale))

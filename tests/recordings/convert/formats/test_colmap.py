@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError
-from gsfusion_nb.data.lens.camera_model import CameraModel, pixel_map
+from gsfusion_nb.data.lens import CameraModel, pixel_map
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.geometry import backproject, project, quaternion, se3
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
-from gsfusion_nb.recordings.convert.formats.colmap_model import read_model
+from gsfusion_nb.recordings.convert.formats.colmap import read_model
 from gsfusion_nb.types import Camera
 
 UNIT_M = 0.37

@@ -14,7 +14,7 @@ from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.convert import ConvertOptions, RosOptions, convert, detect_format
-from gsfusion_nb.recordings.convert.formats import ros_unpacking
+from gsfusion_nb.recordings.convert.formats import ros_bag
 from gsfusion_nb.types import Camera
 
 pytest.importorskip("rosbags")
@@ -341,14 +341,14 @@ def test_files_that_are_packed_as_a_whole_unpack_within_limits(tmp_path, takes, 
     (file,) = path.glob("*.zstd")
     convert(path, tmp_path / "out")
     takes.check(tmp_path / "out")
-    monkeypatch.setattr(ros_unpacking, "free_space", lambda folder: 10_000)
+    monkeypatch.setattr(ros_bag, "free_space", lambda folder: 10_000)
     with pytest.raises(
         SequenceError, match=r"\.zstd unpacks to more than 0 MB, 100 times its size or all the free space"
     ):
         convert(path, tmp_path / "full")
     monkeypatch.undo()
     content = file.read_bytes()
-    bomb = ros_unpacking._zstd_module().compress(bytes(300_000_000))
+    bomb = ros_bag._zstd_module().compress(bytes(300_000_000))
     assert len(bomb) < 100_000
     file.write_bytes(bomb)
     with pytest.raises(SequenceError, match=r"\.zstd unpacks to more than"):

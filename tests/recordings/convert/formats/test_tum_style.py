@@ -51,7 +51,7 @@ def test_without_poses_or_intrinsics_says_what_to_give(tmp_path, takes):
     with pytest.raises(SequenceError, match=r"does not contain the camera's intrinsics; give --intrinsics"):
         convert(root, tmp_path / "out", options=ConvertOptions(poses="none"))
     assert not (tmp_path / "out").exists()
-    assert not (tmp_path / "out.partial").exists()
+    assert not (tmp_path / ".out.partial").exists()
 
 
 def test_calibration_is_not_named_where_the_user_gave_another(tmp_path, takes):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.data import SequenceError
-from gsfusion_nb.data.recorded.depth_unit import find_depth_unit
+from gsfusion_nb.recordings.convert.depth_unit import find_depth_unit
 
 
 def depths(near_m, far_m, scale, step=1):

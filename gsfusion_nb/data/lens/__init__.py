@@ -1,1 +1,0 @@
-"""Cameras with lens distortion: removing it, and registering depth to the colour of another camera."""
