@@ -53,7 +53,7 @@ def of_tests(path: str) -> ModuleType:
 
 def make_takes(n: int = 4):
     """Frames of the box-shaped room, 24x18."""
-    box = of_tests("data/conftest.py").Box()
+    box = of_tests("plugins/box_room.py").Box()
     camera = Camera(width=24, height=18, fx=22.0, fy=21.0, cx=11.7, cy=9.2)
     poses = box.poses(n)
     poses[:, :3, :3] = quaternion.to_matrix(quaternion.from_matrix(poses[:, :3, :3]))
@@ -266,7 +266,7 @@ def _run_folder(root: Path, takes) -> list[Seed]:
     config = gsfusion("replica", tsdf__voxel_size_m=0.2, sh_degree=1, optim__global_iterations=1, data__stop=3)
     with use_backend("torch"):
         run_mapping(str(root / "folder"), config, folder=root / "run", evaluate=True)
-        of_tests("data/conftest.py").Box().folder(root / "scan")
+        of_tests("plugins/box_room.py").Box().folder(root / "scan")
         interrupted = [_interrupted(root, *kind) for kind in INTERRUPTED]
     for name in ("report.html", "mesh.ply", "status.json"):
         (root / "run" / name).unlink(missing_ok=True)

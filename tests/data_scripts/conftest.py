@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from box_room import box as box
 
 TESTS = Path(__file__).resolve().parents[1]
 SCRIPTS = TESTS.parent / "data_scripts"
@@ -103,9 +104,6 @@ def archives() -> Archives:
     return Archives()
 
 
-box = load(TESTS / "data/conftest.py").box
-
-
 @pytest.fixture(autouse=True)
 def _no_real_host(monkeypatch):
     """Whoever asks for another host than this machine fails, and no person is there to be asked."""
@@ -135,7 +133,7 @@ def writer():
 @pytest.fixture
 def copied_scene():
     """The module that writes a ScanNet++ scene as it is handed out."""
-    return load(TESTS / "data/convert/test_scannetpp_scene.py")
+    return load(TESTS / "recordings/convert/test_scannetpp_scene.py")
 
 
 @pytest.fixture

@@ -101,5 +101,5 @@ def test_a_folder_that_is_there_is_left_alone(script, written, tmp_path, capsys)
     folder, _ = written("folder")
     before = sorted(p.stat().st_mtime_ns for p in folder.rglob("*"))
     assert script("room").main(["folder", "--frames", "2", "--out", str(tmp_path / "data")]) == 1
-    assert "already exists; remove or rename it" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert sorted(p.stat().st_mtime_ns for p in folder.rglob("*")) == before

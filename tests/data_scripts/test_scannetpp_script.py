@@ -28,23 +28,6 @@ def test_end_to_end(script, scene, tmp_path, box, copied_scene, capsys):
     assert not (out / ".fetch/unfinished/8b5caf3398").exists()
 
 
-def test_interrupted_and_gone_on_with(script, scene, tmp_path, capsys, monkeypatch):
-    module, out = script("scannetpp"), tmp_path / "data"
-    prepare = module.prepare_scene
-
-    def stop(*arguments, **options):
-        prepare(*arguments, **options)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(module, "prepare_scene", stop)
-    assert module.main([str(scene), "--out", str(out), "--yes"]) == 130
-    assert "interrupted; run the same command again" in capsys.readouterr().err
-    assert not (out / "scannetpp").exists()
-    monkeypatch.setattr(module, "prepare_scene", prepare)
-    assert module.main([str(scene), "--out", str(out), "--yes"]) == 0
-    assert len(open_sequence(out / "scannetpp/8b5caf3398")) == 3
-
-
 def test_without_agreement_or_scan(script, scene, tmp_path, capsys):
     module, out = script("scannetpp"), tmp_path / "data"
     assert module.main([str(scene), "--out", str(out)]) == 1

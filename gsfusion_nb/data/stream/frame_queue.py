@@ -16,7 +16,6 @@ from ..adjust.resize import resize_frame
 from ..adjust.select import resized_camera, within_depth
 from ..sequence import BadFrameError, Sequence, SequenceError
 
-
 Policy = Literal["all", "queue", "latest", "drop"]
 
 POLICIES: dict[Policy, str] = {

@@ -142,7 +142,7 @@ def mesh_in_transforms_world(mesh: Mesh) -> Mesh:
 def prepare_scene(
     scene: Path, mesh: Mesh, folder: Path, *, progress: Callable[[int, int], object] = lambda done, count: None
 ) -> int:
-    """Write a scene for the ``scannetpp`` reader; pictures that are already in ``folder`` are kept.
+    """Write a scene for the ``scannetpp`` reader.
 
     Args:
         scene: The licensed copy of one scene (module docstring).
@@ -166,9 +166,8 @@ def prepare_scene(
             )
         picture = folder / "dslr/undistorted_images_2" / name
         depth = folder / "dslr/undistorted_depths_2" / f"{Path(name).stem}.png"
-        if not depth.exists():
-            _write_picture(picture, pictures.turn(read_rgb(pictures.folder / name)))
-            _write_depth(depth, mesh_depth(turned.vertices_W, turned.faces, pictures.camera, poses[name]))
+        _write_picture(picture, pictures.turn(read_rgb(pictures.folder / name)))
+        _write_depth(depth, mesh_depth(turned.vertices_W, turned.faces, pictures.camera, poses[name]))
         progress(i + 1, len(names))
     write_file(folder / "dslr/nerfstudio/transforms_undistorted_2.json", json.dumps(pictures.transforms(), indent=1))
     write_file(folder / "dslr/train_test_lists.json", read_bytes(scene / "dslr/train_test_lists.json", "the lists"))

@@ -97,5 +97,5 @@ def test_only_readers_and_what_writes_their_layouts_name_a_layout():
         "data/open.py",
         "data/readers/__init__.py",
         "data/readers/seven_scenes.py",
-        "data/room/write_layouts.py",
+        "recordings/room_layouts.py",
     }

@@ -111,24 +111,6 @@ def test_undistorted_scene(tmp_path, box):
     check(sequence, box)
 
 
-def test_goes_on_where_it_stopped(tmp_path, box):
-    scene = write_copy(tmp_path / "scene", box)
-
-    def stop(done, count):
-        if done == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        prepare_scene(scene, box_mesh(), tmp_path / "new", progress=stop)
-    depths = sorted((tmp_path / "new/dslr/undistorted_depths_2").iterdir())
-    assert len(depths) == 2
-    before = [p.stat().st_mtime_ns for p in depths]
-    assert not (tmp_path / "new/dslr/train_test_lists.json").exists()
-    prepare_scene(scene, box_mesh(), tmp_path / "new")
-    assert [p.stat().st_mtime_ns for p in depths] == before
-    check(scannetpp(tmp_path / "new"), box)
-
-
 def test_missing_parts(tmp_path, box):
     scene = write_copy(tmp_path / "scene", box)
     lists = scene / "dslr/train_test_lists.json"
