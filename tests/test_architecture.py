@@ -226,7 +226,7 @@ def toy_exercise(attempt: Attempt) -> None:
 OWN_EXERCISE = '''
 """Exercises for a test, whose function runs in the library."""
 
-from .learner_backend import Becomes
+from .learner_operation import Becomes
 from .exercise import Attempt, Wrong, close, exercise
 
 

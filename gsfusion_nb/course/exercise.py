@@ -58,17 +58,17 @@ from .attempt import NotWritten, Verdict, describe
 from .attempt import close as close
 from .attempt import holds as holds
 from .attempt import unpack as unpack
-from .learner_backend import Becomes as Becomes
-from .learner_backend import Yours as Yours
-from .learner_backend import remember
 from .learner_code import LIBRARY_LIMIT_S as LIBRARY_LIMIT_S
 from .learner_code import LIMIT_S, Guard, keep_source, reference_function, with_reference
+from .learner_operation import Becomes as Becomes
+from .learner_operation import Yours as Yours
+from .learner_operation import remember
 from .progress import count, forgiving, note, now, read_section
 
 DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 
 _NO_CHAPTERS = {
-    "attempt", "copies", "course", "exercise", "grading", "learner_backend", "learner_code", "paper_tables",
+    "attempt", "copies", "course", "exercise", "grading", "learner_backend", "learner_code", "learner_operation", "paper_tables",
     "predictions", "progress", "source_lines", "trace",
 }  # fmt: skip
 """Modules of this folder that register no exercise."""
