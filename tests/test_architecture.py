@@ -259,7 +259,6 @@ WHOLE = {
     "an operation": {
         "gsfusion_nb/optim/toy_operation.py": OPERATION,
         "gsfusion_nb/optim/__init__.py": ("+", "from .toy_operation import toy_operation as toy_operation\n"),
-        "kernels/toy_operation/__init__.py": '"""Twice a number."""\n',
         "kernels/toy_operation/cases.py": CASES,
     },
     "a backend of an operation": {"kernels/toy_operation/torch.py": BACKEND},

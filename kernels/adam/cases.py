@@ -1,4 +1,7 @@
-"""Cases of ``adam_update`` and ``adam_update_map``: every way of counting steps, on parameters of every shape."""
+"""One step of Adam on every row of a map, or of one parameter.
+
+Cases of ``adam_update`` and ``adam_update_map``: every way of counting steps, on parameters of every shape.
+"""
 
 from collections.abc import Iterator
 

@@ -9,10 +9,10 @@ from torch import Tensor
 from gsfusion_nb.optim.adam import ColumnRates
 from gsfusion_nb.types import GaussianParams
 
+from ..runtime.arguments import parts
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import parts
-from .host import corrections, is_simple, step_sizes, update_columns
 from .torch import adam_update as vectorised
+from .torch import corrections, is_simple, step_sizes, update_columns
 
 _BLOCK = 256
 _NUMBERS = 4 * _BLOCK

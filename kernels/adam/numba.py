@@ -11,8 +11,8 @@ from numba import njit, prange
 from torch import Tensor
 
 from ..runtime.numba.launch import launching
-from .host import corrections, is_simple, step_sizes, update_columns
 from .torch import adam_update as vectorised
+from .torch import corrections, is_simple, step_sizes, update_columns
 
 f32 = np.float32
 

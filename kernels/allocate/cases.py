@@ -1,5 +1,8 @@
-"""Cases of ``band_blocks`` and ``new_band_blocks``: both distances, isolated pixels, nothing measured, and a camera far
-from the origin."""
+"""Which voxel blocks a frame's depth touches.
+
+Cases of ``band_blocks`` and ``new_band_blocks``: both distances, isolated pixels, nothing measured, and a camera far
+from the origin.
+"""
 
 import dataclasses
 import functools

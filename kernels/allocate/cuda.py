@@ -15,8 +15,8 @@ from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO
 from gsfusion_nb.tsdf.morton import BITS, OFFSET
 from gsfusion_nb.types import Frame
 
+from ..runtime.arguments import check_dtype, packed, parts
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import check_dtype, packed, parts
 from ..sample.cuda import Table
 
 _EDGE, _BLOCK = 16, 128

@@ -1,16 +1,17 @@
 """The blocks that the band of a depth image crosses: sixteen rays at a time into a byte map of the view's bounding box.
 
 The rays, pieces and roundings are the reference's, so the set of blocks is the same to the last one.
+
+The blocks that a view can meet, numbered from a corner: what the numba kernels mark cells in.
 """
 
-# Intrinsics are called without their typing context, which pyright cannot follow:
-# pyright: reportCallIssue=false
-
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Int
 from numba import njit, prange
 from torch import Tensor
 
@@ -20,6 +21,7 @@ from gsfusion_nb.tsdf.allocate import band_blocks as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
+from ..runtime.arguments import ray_slopes
 from ..runtime.numba.launch import launching
 from ..runtime.numba.simd import (
     absolute,
@@ -36,8 +38,50 @@ from ..runtime.numba.simd import (
     times,
 )
 from ..runtime.numba.simd_int import mark, truncate
-from ..runtime.slopes import ray_slopes
-from .block_box import block_box
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BlockBox:
+    """The blocks around a part of a view, and the view in their units, relative to them: exact far from the origin."""
+
+    low: Int[Tensor, " 3"]
+    """Lowest block."""
+    size: list[int]
+    """Blocks along each axis."""
+    origin: list[float]
+    """Camera centre, blocks from the corner of ``low``."""
+    R: list[list[float]]
+    """Rows of R_WC, blocks per metre."""
+    block_size_m: float
+    """Edge of a block, metres."""
+
+    def pieces(self, length_m: float) -> int:
+        """Parts no longer than a block, up to rounding, that a segment has to be cut into."""
+        return math.ceil(1.0001 * length_m / self.block_size_m)
+
+
+def block_box(volume: TsdfVolume, frame: Frame, z_near: float, z_far: float) -> BlockBox:
+    """All blocks that the view frustum of ``frame`` can meet between two depths, with one to spare on each side."""
+    camera, T_WC = frame.camera, frame.T_WC.double()
+    position = T_WC[:3, 3] / volume.block_size_m
+    base = position.floor()
+    R = (T_WC[:3, :3] / volume.block_size_m).tolist()
+    xs = ((0 - camera.cx) / camera.fx, (camera.width - camera.cx) / camera.fx)
+    ys = ((0 - camera.cy) / camera.fy, (camera.height - camera.cy) / camera.fy)
+    corners = [(x * z, y * z, z) for x in xs for y in ys for z in (z_near, z_far)]
+    low, size, origin = [], [], []
+    for o, (rx, ry, rz) in zip((position - base).tolist(), R, strict=True):
+        along = [o + rx * x + ry * y + rz * z for x, y, z in corners]
+        low.append(math.floor(min(along)) - 1)
+        size.append(math.floor(max(along)) + 2 - low[-1])
+        origin.append(o - low[-1])
+    lowest = base.to(torch.int64) + torch.tensor(low, dtype=torch.int64, device=base.device)
+    return BlockBox(low=lowest, size=size, origin=origin, R=R, block_size_m=volume.block_size_m)
+
+
+# Intrinsics are called without their typing context, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
 
 f32 = np.float32
 _ZERO, _HALF, _ONE, _TWO, _INFINITE = f32(0.0), f32(0.5), f32(1.0), f32(2.0), f32(np.inf)

@@ -1,4 +1,7 @@
-"""Cases of ``base_view``: every way with holes, at the picture's size and at half of it, odd sizes, no surface."""
+"""The base of a picture: holes of a surface filled, half a picture enlarged.
+
+Cases of ``base_view``: every way with holes, at the picture's size and at half of it, odd sizes, no surface.
+"""
 
 import functools
 from collections.abc import Iterator

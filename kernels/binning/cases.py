@@ -1,4 +1,7 @@
-"""Cases of ``tile_intersections``: every tile lists the Gaussians that it shows, nearest first."""
+"""Lists of the Gaussians that touch each tile, a stage of rasterize.
+
+Cases of ``tile_intersections``: every tile lists the Gaussians that it shows, nearest first.
+"""
 
 import functools
 from collections.abc import Iterator

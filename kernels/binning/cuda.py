@@ -12,9 +12,9 @@ from torch import Tensor
 
 from gsfusion_nb.types import Camera
 
+from ..runtime.arguments import parts
 from ..runtime.cuda.launch import launch
-from ..runtime.gpu import parts
-from .host import check_pairs
+from .layout import check_pairs
 
 TILE = 16
 """Edge of a tile, pixels; as in ``splat.cuh``."""

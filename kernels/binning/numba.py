@@ -4,11 +4,11 @@ import numpy as np
 from numba import njit, prange
 
 from ..composite.layout import TILE, PairLists
+from ..project.geometry import tiles_of
+from ..project.layout import DEPTH
 from ..project.numba import CHUNK, NOTED_PER_CHUNK
-from ..project.splat import DEPTH
-from ..project.tiles import tiles_of
-from ..runtime.numba.cyclic import cyclic_size, cyclic_task
-from .tile_windows import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
+from ..runtime.numba.scalars import cyclic_size, cyclic_task
+from .layout import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,4 +1,7 @@
-"""Cases of ``brightness_system``: a patterned, curved wall seen twice, in the same and in another exposure."""
+"""Sums of the brightness error that joins ICP.
+
+Cases of ``brightness_system``: a patterned, curved wall seen twice, in the same and in another exposure.
+"""
 
 from collections.abc import Iterator
 

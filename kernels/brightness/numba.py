@@ -19,7 +19,7 @@ from gsfusion_nb.tracking.brightness import brightness_system as reference
 from gsfusion_nb.tracking.pyramid import DepthLevel
 
 from ..icp.numba import dot, poses_of
-from ..runtime.lens import lens_of
+from ..runtime.arguments import lens_of
 from ..runtime.numba.launch import launching
 
 f32 = np.float32

@@ -1,4 +1,7 @@
-"""Cases of ``composite`` and ``composite_vjp``: thin, opaque and tiny Gaussians, some pixels, and empty lists."""
+"""Front-to-back blending of each tile's Gaussians and its gradient, a stage of rasterize.
+
+Cases of ``composite`` and ``composite_vjp``: thin, opaque and tiny Gaussians, some pixels, and empty lists.
+"""
 
 import functools
 from collections.abc import Iterator

@@ -12,7 +12,7 @@ from numba import njit
 
 from gsfusion_nb.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
-from ..project.splat import CONIC_A, CONIC_B, CONIC_C, EXTENT_V, LN_OPACITY, U, V
+from ..project.layout import CONIC_A, CONIC_B, CONIC_C, EXTENT_V, LN_OPACITY, U, V
 from ..runtime.numba.simd import exp, iota, load, maximum, minimum, negative_abs, select, splat, store
 from .layout import TILE
 

@@ -6,8 +6,8 @@
 import numpy as np
 from numba import njit, prange
 
-from ..project.splat import BLUE, DEPTH, GREEN, RED, V
-from ..runtime.numba.cyclic import cyclic_size, cyclic_task
+from ..project.layout import BLUE, DEPTH, GREEN, RED, V
+from ..runtime.numba.scalars import cyclic_size, cyclic_task
 from ..runtime.numba.simd import any_lane, either, load, select, splat, store
 from .front_to_back import (
     HALF,

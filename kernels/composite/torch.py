@@ -18,8 +18,22 @@ from gsfusion_nb.render.composite import CompositeGradient, CompositeOutput
 from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera
 
-from .chunks import NO_HIT, Chunk, Scratch, cut_into_chunks, image_to_tiles, tiles_to_image
-from .entries import CONIC, OPACITY, UV, Entries, centre_slopes, entries_vjp, list_entries, pixel_functions
+from .entries import (
+    CONIC,
+    NO_HIT,
+    OPACITY,
+    UV,
+    Chunk,
+    Entries,
+    Scratch,
+    centre_slopes,
+    cut_into_chunks,
+    entries_vjp,
+    image_to_tiles,
+    list_entries,
+    pixel_functions,
+    tiles_to_image,
+)
 
 _RGB, _DEPTH, _ALPHA = slice(0, 3), 3, 4
 _CHANNELS = 5

@@ -10,8 +10,8 @@ to come is what is left of the total, so nothing per pair has to be kept between
 import numpy as np
 from numba import njit, prange
 
-from ..project.splat import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, GREEN, RED, V
-from ..runtime.numba.cyclic import cyclic_size, cyclic_task
+from ..project.layout import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, GREEN, RED, V
+from ..runtime.numba.scalars import cyclic_size, cyclic_task
 from ..runtime.numba.simd import any_lane, exp, load, minimum, negative_abs, reduce_add, select, splat, store
 from .front_to_back import (
     CEILING,
@@ -27,8 +27,7 @@ from .front_to_back import (
     rows_of,
     zeros,
 )
-from .layout import TILE
-from .sums import (
+from .layout import (
     PAIR_SUMS,
     SUM_BLUE,
     SUM_DEPTH,
@@ -40,6 +39,7 @@ from .sums import (
     SUM_GY,
     SUM_GYY,
     SUM_RED,
+    TILE,
 )
 
 f32 = np.float32

@@ -1,4 +1,7 @@
-"""Cases of ``disc_depth`` and ``disc_depth_vjp``: discs that are met, planes too steep or too far away, no hits."""
+"""Depth of the first opaque disc at each pixel, and its gradient (RTG-SLAM).
+
+Cases of ``disc_depth`` and ``disc_depth_vjp``: discs that are met, planes too steep or too far away, no hits.
+"""
 
 import functools
 from collections.abc import Iterator

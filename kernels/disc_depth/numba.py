@@ -19,9 +19,9 @@ from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
 
-from ..runtime.lens import lens_of
-from ..runtime.numba.cyclic import cyclic_size, cyclic_task
+from ..runtime.arguments import lens_of
 from ..runtime.numba.launch import launching
+from ..runtime.numba.scalars import cyclic_size, cyclic_task
 
 P_X, P_Y, P_Z, N_X, N_Y, N_Z, P_DOT_N, MAX_OFFSET_M, NORMAL_X, NORMAL_Y, NORMAL_Z = range(11)
 """A disc as a row of float32: centre p and normal n in the camera frame, p . n, the largest allowed |z - p_z|, and the

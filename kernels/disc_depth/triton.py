@@ -15,9 +15,19 @@ from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
 
-from ..runtime.lens import lens_of
-from ..runtime.triton.launch import device_of, launch, parts
-from ..runtime.triton.vectors import load3, load4, load_position, load_rotation, rotation, store3, store4
+from ..runtime.arguments import lens_of
+from ..runtime.triton.launch import (
+    device_of,
+    launch,
+    load3,
+    load4,
+    load_position,
+    load_rotation,
+    parts,
+    rotation,
+    store3,
+    store4,
+)
 
 _BLOCK = 128
 

@@ -1,4 +1,7 @@
-"""Cases of ``footprints``: Gaussians before, beside and behind the camera, some that are not drawn, and none."""
+"""Which Gaussians a camera sees, and how large they are in its image.
+
+Cases of ``footprints``: Gaussians before, beside and behind the camera, some that are not drawn, and none.
+"""
 
 from collections.abc import Iterator
 

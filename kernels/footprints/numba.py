@@ -13,9 +13,8 @@ from gsfusion_nb.render.footprints import Footprints
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..project.geometry import camera_point
-from ..project.layout import HEIGHT, WIDTH, Params, pack_camera
+from ..project.layout import DEPTH, EXTENT_U, EXTENT_V, HEIGHT, LN_OPACITY, SPLAT, WIDTH, Params, U, V, pack_camera
 from ..project.numba import CHUNK, _project
-from ..project.splat import DEPTH, EXTENT_U, EXTENT_V, LN_OPACITY, SPLAT, U, V
 from ..runtime.numba.launch import launching
 
 f32 = np.float32

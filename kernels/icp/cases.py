@@ -1,4 +1,7 @@
-"""Cases of ``icp_system``: a curved wall seen twice, with narrow and with wide gates."""
+"""Normal equations of point-to-plane ICP.
+
+Cases of ``icp_system``: a curved wall seen twice, with narrow and with wide gates.
+"""
 
 from collections.abc import Iterator
 

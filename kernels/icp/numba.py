@@ -20,7 +20,7 @@ from gsfusion_nb.tracking.normal_equations import icp_system as reference
 from gsfusion_nb.tracking.pyramid import DepthLevel
 from gsfusion_nb.tracking.surface import Surface
 
-from ..runtime.lens import lens_of
+from ..runtime.arguments import lens_of
 from ..runtime.numba.launch import launching
 from .host import H_ROWS, INLIERS, N_SUMS, OVERLAP, SQUARES, WEIGHTS, B, images_of, to_system
 

@@ -18,9 +18,8 @@ from gsfusion_nb.tracking.normal_equations import icp_system as reference
 from gsfusion_nb.tracking.pyramid import DepthLevel
 from gsfusion_nb.tracking.surface import Surface, about_the_surface
 
-from ..runtime.lens import lens_of
-from ..runtime.triton.launch import device_of, launch, parts
-from ..runtime.triton.vectors import load3, load_position
+from ..runtime.arguments import lens_of
+from ..runtime.triton.launch import device_of, launch, load3, load_position, parts
 from . import host
 from .host import images_of, to_system
 

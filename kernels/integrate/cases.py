@@ -1,4 +1,7 @@
-"""Cases of ``fuse_frame_``: both distances, colours as bytes and between them, and views of which some see nothing."""
+"""Update of the TSDF from one frame.
+
+Cases of ``fuse_frame_``: both distances, colours as bytes and between them, and views of which some see nothing.
+"""
 
 import dataclasses
 from collections.abc import Iterator

@@ -10,9 +10,8 @@ from gsfusion_nb import types
 from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 
+from ..runtime.arguments import check_dtype, lens_of, packed, parts
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import check_dtype, packed, parts
-from ..runtime.lens import lens_of
 
 _BLOCK = 128
 _RESIDENT = 132 * 16

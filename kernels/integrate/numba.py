@@ -31,9 +31,8 @@ from ..runtime.numba.simd_int import (
     third_byte,
     truncate,
 )
-from .depth_pyramid import MISSING, packed_image
+from .depth_pyramid import MISSING, find_observable, packed_image
 from .layout import Image, Limits, Method, View, Voxels
-from .observable import find_observable
 
 f32 = np.float32
 _EPS = f32(1e-4)

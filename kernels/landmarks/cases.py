@@ -1,5 +1,8 @@
-"""Cases of ``landmark_sums`` and ``landmark_pose``: landmarks in front of and behind the camera, with and without
-depth, some of them wrong, and none."""
+"""Least squares of landmarks for the pose of a camera.
+
+Cases of ``landmark_sums`` and ``landmark_pose``: landmarks in front of and behind the camera, with and without
+depth, some of them wrong, and none.
+"""
 
 from collections.abc import Iterator
 

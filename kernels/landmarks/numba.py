@@ -25,8 +25,8 @@ from gsfusion_nb.tracking.landmark_rows import (
     LandmarkSums,
 )
 
-from ..runtime.lens import lens_of
-from ..runtime.numba.twist import solve_into, turn_about_camera
+from ..runtime.arguments import lens_of
+from ..runtime.numba.scalars import solve_into, turn_about_camera
 
 _SQUARE, _DEPTH_VARIANCE = CAUCHY**2, 2.0 * DEPTH_SIGMA_PER_M**2
 

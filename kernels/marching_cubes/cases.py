@@ -1,4 +1,7 @@
-"""Cases of ``extract_mesh``: the map of a wall, every case of the triangle table, and maps without a surface."""
+"""Triangle mesh of the TSDF's zero level.
+
+Cases of ``extract_mesh``: the map of a wall, every case of the triangle table, and maps without a surface.
+"""
 
 from collections.abc import Iterator
 

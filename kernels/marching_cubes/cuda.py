@@ -12,8 +12,8 @@ from gsfusion_nb.tsdf.triangle_table import triangle_table
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Mesh
 
+from ..runtime.arguments import check_dtype, parts
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import check_dtype, parts
 
 _BLOCK = 128
 _EDGES = 3 * VOXELS_PER_BLOCK

@@ -17,11 +17,10 @@ from gsfusion_nb.tsdf.triangle_table import EDGES, triangle_table
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Mesh
 
-from ..runtime.numba.bits import lowest, popcount
 from ..runtime.numba.launch import launching
+from ..runtime.numba.scalars import lowest, popcount
 from .layout import Grid, MeshArrays, Tables, Topology, Voxels, X, Y, Z
-from .slabs import NONE, case_of, corner_words
-from .topology import find_topology, sign_words
+from .topology import NONE, case_of, corner_words, find_topology, sign_words
 
 f32 = np.float32
 _ONE, _HALF = f32(1.0), f32(0.5)

@@ -1,5 +1,8 @@
-"""Cases of ``match_features`` and ``found_near``: noisy copies of descriptors, lookalikes and equal distances; points
-beside the image and behind the camera; narrow and wide searches; empty sides."""
+"""Matching of descriptors: those of two views, and those of points near their predicted pixels.
+
+Cases of ``match_features`` and ``found_near``: noisy copies of descriptors, lookalikes and equal distances; points
+beside the image and behind the camera; narrow and wide searches; empty sides.
+"""
 
 from collections.abc import Iterator
 

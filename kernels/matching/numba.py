@@ -20,8 +20,8 @@ from gsfusion_nb.tracking.matching import MAX_HAMMING, RATIO
 from gsfusion_nb.tracking.projected_matching import NEAREST_M
 from gsfusion_nb.types import Camera
 
-from ..runtime.lens import lens_of
-from ..runtime.numba.bits import popcount
+from ..runtime.arguments import lens_of
+from ..runtime.numba.scalars import popcount
 
 _FARTHEST = 257
 """More than two descriptors can differ."""

@@ -11,22 +11,11 @@ import numpy as np
 from numba import njit, prange
 
 from ..composite.front_to_back import CEILING, HALF, ONE, ZERO, across, row_exponent
-from ..composite.sums import (
-    SUM_BLUE,
-    SUM_DEPTH,
-    SUM_G,
-    SUM_GREEN,
-    SUM_GX,
-    SUM_GXX,
-    SUM_GXY,
-    SUM_GY,
-    SUM_GYY,
-    SUM_RED,
-)
-from ..project.splat import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, GREEN, RED, V
-from ..runtime.numba.cyclic import cyclic_size, cyclic_task
+from ..composite.layout import SUM_BLUE, SUM_DEPTH, SUM_G, SUM_GREEN, SUM_GX, SUM_GXX, SUM_GXY, SUM_GY, SUM_GYY, SUM_RED
+from ..project.layout import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, GREEN, RED, V
+from ..runtime.numba.scalars import cyclic_size, cyclic_task
 from ..runtime.numba.simd import LANES, any_lane, exp, load, minimum, negative_abs, reduce_add, select, splat
-from .bands import column_range, row_range, stride_of
+from .forward import column_range, row_range, stride_of
 
 f32 = np.float32
 _INFINITE = f32(np.inf)

@@ -1,4 +1,7 @@
-"""Cases of ``render_over_base`` and its gradient: holes, hidden Gaussians, no weight of the base, and every option."""
+"""Gaussians over a picture of the surface, blended without order, and the gradient.
+
+Cases of ``render_over_base`` and its gradient: holes, hidden Gaussians, no weight of the base, and every option.
+"""
 
 import functools
 from collections.abc import Iterator

@@ -15,11 +15,11 @@ from gsfusion_nb.render.over_base import Base, OverBaseOutput
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..binning.cuda import TileLists, list_tiles
-from ..composite.work import Work
+from ..composite.layout import Work
 from ..project.cuda import centre_vjp, project_rows, project_rows_vjp
-from ..project.splat import SPLAT
+from ..project.layout import SPLAT
+from ..runtime.arguments import as_bytes, check_dtype, packed
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import as_bytes, check_dtype, packed
 
 _BLOCK = 128
 

@@ -17,16 +17,14 @@ from gsfusion_nb.render.over_base import Base, OverBaseOutput
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..binning.numba import tile_windows
-from ..composite.sums import PAIR_SUMS
-from ..project.centre_vjp import centre_vjp, row_sums
-from ..project.layout import Params, pack_camera
+from ..composite.layout import PAIR_SUMS
+from ..project.geometry import centre_vjp, row_sums
+from ..project.layout import SPLAT, Params, pack_camera
 from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
-from ..project.splat import SPLAT
 from ..project.vjp import project_rows_vjp
 from ..runtime.numba.launch import launching, scratch
 from .backward import PLANES, gradient_planes, splat_sums
-from .bands import Blended, Surface, list_bands, stride_of
-from .forward import blend_bands
+from .forward import Blended, Surface, blend_bands, list_bands, stride_of
 
 _ALL_PIXELS = np.empty((0, 0), np.bool_)
 _ALL_ROWS = np.empty(0, np.bool_)

@@ -1,4 +1,7 @@
-"""Cases of ``l1_mse_vjp`` and ``l2_mse_vjp``: colours beyond 0..1, and some that are equal."""
+"""Mean absolute and squared difference of a picture, with the gradient.
+
+Cases of ``l1_mse_vjp`` and ``l2_mse_vjp``: colours beyond 0..1, and some that are equal.
+"""
 
 from collections.abc import Iterator
 

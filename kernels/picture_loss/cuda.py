@@ -5,8 +5,8 @@ from torch import Tensor
 
 from gsfusion_nb.optim import losses as reference
 
+from ..runtime.arguments import packed, parts
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import packed, parts
 
 _BLOCK, _PER_THREAD = 256, 16
 """As in ``picture_loss.cu``."""

@@ -7,11 +7,10 @@ from torch import Tensor
 
 from gsfusion_nb.types import Camera, GaussianParams
 
-from ..composite.sums import SUM_GX, SUM_GY
+from ..composite.layout import SUM_GX, SUM_GY
+from ..runtime.arguments import packed, parts
 from ..runtime.cuda.launch import launch
-from ..runtime.gpu import packed, parts
-from .lens import projection_lens
-from .splat import CONIC_A, CONIC_B, CONIC_C, SPLAT
+from .layout import CONIC_A, CONIC_B, CONIC_C, SPLAT, projection_lens
 
 _BLOCK = 128
 _FIELDS = {"xyz": "xyz_W", "log_scale": "log_scale", "quat": "quat", "logit": "opacity_logit", "sh": "sh"}

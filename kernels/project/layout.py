@@ -1,12 +1,42 @@
-"""What the numba kernels of projection are given: the camera as one array, and the parameters of a map."""
+"""Rows of projected Gaussians, and the numbers of a camera that the kernels read."""
 
 from typing import NamedTuple
 
 import numpy as np
 
+from gsfusion_nb.constants import FRUSTUM_CLAMP
 from gsfusion_nb.types import Camera
 
-from .lens import projection_lens
+COLUMNS = U, V, CONIC_A, CONIC_B, CONIC_C, LN_OPACITY, RED, GREEN, BLUE, DEPTH, EXTENT_U, EXTENT_V = range(12)
+"""Centre, pixels; inverse covariance, sigma = (A dx^2 + C dy^2) / 2 + B dx dy; ln(opacity); colour; z, metres; half the
+width and half the height of the ellipse alpha >= 1/255, pixels."""
+
+SPLAT = 12
+"""Numbers in a row."""
+
+
+class ProjectionLens(NamedTuple):
+    """Focal lengths, principal point, and the largest |x / z| and |y / z| at which the projection is linearised."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    limit_x: float
+    limit_y: float
+
+
+def projection_lens(camera: Camera) -> ProjectionLens:
+    """Those of ``camera``."""
+    return ProjectionLens(
+        fx=float(camera.fx),
+        fy=float(camera.fy),
+        cx=float(camera.cx),
+        cy=float(camera.cy),
+        limit_x=FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx,
+        limit_y=FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy,
+    )
+
 
 R00, R01, R02, R10, R11, R12, R20, R21, R22, T0, T1, T2 = range(12)
 CENTRE_X, CENTRE_Y, CENTRE_Z, FX, FY, CX, CY, LIMIT_X, LIMIT_Y, WIDTH, HEIGHT = range(12, 23)

@@ -13,24 +13,39 @@ from gsfusion_nb.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, SCREEN_B
 
 from ..composite.layout import TILE
 from ..harmonics.numba import basis_into
-from ..runtime.numba.cyclic import cyclic_size, cyclic_task
-from .geometry import camera_point, clamp, direction, rotation
-from .layout import CX, CY, FX, FY, HEIGHT, LIMIT_X, LIMIT_Y, R00, R01, R02, R10, R11, R12, R20, R21, R22, WIDTH
-from .splat import (
+from ..runtime.numba.scalars import cyclic_size, cyclic_task
+from .geometry import camera_point, clamp, direction, rotation, tiles_of
+from .layout import (
     BLUE,
     CONIC_A,
     CONIC_B,
     CONIC_C,
+    CX,
+    CY,
     DEPTH,
     EXTENT_U,
     EXTENT_V,
+    FX,
+    FY,
     GREEN,
+    HEIGHT,
+    LIMIT_X,
+    LIMIT_Y,
     LN_OPACITY,
+    R00,
+    R01,
+    R02,
+    R10,
+    R11,
+    R12,
+    R20,
+    R21,
+    R22,
     RED,
+    WIDTH,
     U,
     V,
 )
-from .tiles import tiles_of
 
 f32 = np.float32
 _NEAR = f32(NEAR_PLANE_M)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from ..composite.sums import (
+from ..composite.layout import (
     PAIR_SUMS,
     SUM_BLUE,
     SUM_DEPTH,
@@ -19,11 +19,32 @@ from ..composite.sums import (
     SUM_RED,
 )
 from ..harmonics.numba import basis_into, gradient_into
-from ..runtime.numba.cyclic import cyclic_size, cyclic_task
+from ..runtime.numba.scalars import cyclic_size, cyclic_task
 from .geometry import camera_point, clamp, direction, rotation
-from .layout import FX, FY, LIMIT_X, LIMIT_Y, R00, R01, R02, R10, R11, R12, R20, R21, R22
+from .layout import (
+    BLUE,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    DEPTH,
+    FX,
+    FY,
+    GREEN,
+    LIMIT_X,
+    LIMIT_Y,
+    LN_OPACITY,
+    R00,
+    R01,
+    R02,
+    R10,
+    R11,
+    R12,
+    R20,
+    R21,
+    R22,
+    RED,
+)
 from .numba import CHUNK
-from .splat import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, GREEN, LN_OPACITY, RED
 
 f32 = np.float32
 _HALF, _ONE, _TWO, _ZERO = f32(0.5), f32(1.0), f32(2.0), f32(0.0)

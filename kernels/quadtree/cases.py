@@ -1,4 +1,7 @@
-"""Cases of ``quadtree``: pictures from one pixel up, of odd sizes, thin and strided ones, and of one colour."""
+"""Image quadtree of GSFusion.
+
+Cases of ``quadtree``: pictures from one pixel up, of odd sizes, thin and strided ones, and of one colour.
+"""
 
 from collections.abc import Iterator
 

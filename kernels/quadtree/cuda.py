@@ -9,9 +9,9 @@ from torch import Tensor
 from gsfusion_nb.constants import QUADTREE_NORMALISER
 from gsfusion_nb.seeding.quadtree import Cells
 
+from ..runtime.arguments import parts
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import parts
-from .levels import LEAF_COLUMNS, LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level, to_cells
+from .torch import LEAF_COLUMNS, LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level, to_cells
 
 _BLOCK = 256
 _CLIMB = {"sum_cells": 3, "add_levels": 4}

@@ -14,7 +14,7 @@ from gsfusion_nb.constants import QUADTREE_NORMALISER
 from gsfusion_nb.seeding.quadtree import Cells
 
 from ..runtime.numba.launch import launching
-from .levels import (
+from .torch import (
     HEIGHT,
     LEAF_COLUMNS,
     LEVEL,

@@ -1,4 +1,7 @@
-"""Cases of ``render_forward`` and ``render_vjp``: every degree and option, and maps of no, one and fifty Gaussians."""
+"""Picture of a Gaussian map and its gradient.
+
+Cases of ``render_forward`` and ``render_vjp``: every degree and option, and maps of no, one and fifty Gaussians.
+"""
 
 import functools
 from collections.abc import Iterator

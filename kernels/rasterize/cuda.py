@@ -16,12 +16,12 @@ from gsfusion_nb.render.tiles import TileLists as PlainLists
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.cuda import TILE, TileLists, list_tiles
-from ..composite.work import Work
+from ..composite.layout import Work
 from ..project.cuda import centre_vjp, project_rows, project_rows_vjp
-from ..project.splat import CONIC_A, DEPTH, LN_OPACITY, RED, SPLAT, U
+from ..project.layout import CONIC_A, DEPTH, LN_OPACITY, RED, SPLAT, U
+from ..runtime.arguments import as_bytes, check_dtype, packed
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import as_bytes, check_dtype, packed
-from .host import blank
+from .torch import blank
 
 _BLOCK = 128
 _NO_HIT_ALPHA = 1.0

@@ -19,19 +19,17 @@ from gsfusion_nb.render.on_screen import ScreenGaussians
 from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
-from ..binning.host import check_pairs
+from ..binning.layout import check_pairs
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
-from ..composite.layout import TILE, Image, IndexImages, PairLists, Wanted
+from ..composite.layout import PAIR_SUMS, TILE, Image, IndexImages, PairLists, Wanted
 from ..composite.numba import composite_forward
-from ..composite.sums import PAIR_SUMS
 from ..composite.vjp import composite_backward
-from ..project.centre_vjp import centre_vjp, row_sums
-from ..project.layout import Params, pack_camera
+from ..project.geometry import centre_vjp, row_sums
+from ..project.layout import CONIC_A, DEPTH, LN_OPACITY, RED, SPLAT, Params, U, pack_camera
 from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
-from ..project.splat import CONIC_A, DEPTH, LN_OPACITY, RED, SPLAT, U
 from ..project.vjp import project_rows_vjp
 from ..runtime.numba.launch import launching, scratch
-from .host import blank
+from .torch import blank
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
 _NO_INDEX = np.empty((0, 0), np.int64)

@@ -1,4 +1,7 @@
-"""Cases of ``raycast``: the map of a wall from several places, with unobserved voxels, and an empty map."""
+"""Surface of the TSDF seen from a camera.
+
+Cases of ``raycast``: the map of a wall from several places, with unobserved voxels, and an empty map.
+"""
 
 from collections.abc import Iterator
 

@@ -10,9 +10,8 @@ from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
 
+from ..runtime.arguments import lens_of, packed, parts
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import packed, parts
-from ..runtime.lens import lens_of
 from ..sample.cuda import Pool, Table
 
 _BLOCK, _WARP = 128, 32

@@ -15,17 +15,12 @@ from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
 
-from ..runtime.block_table import BlockTable
-from ..runtime.gpu import parts
-from ..runtime.lens import lens_of
+from ..runtime.arguments import BlockTable, lens_of, parts, ray_slopes
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.simd import absolute, any_lane, either, floor, load, maximum, minimum, select, splat, sqrt, store
 from ..runtime.numba.simd_int import below, but_not, gather, gather_int, splat_int, truncate
-from ..runtime.slopes import ray_slopes
-from .field import Marked, Unmarked, values
 from .in_view import CHUNKS_AT_ONCE, FAR_END, NEAR_END, look_up
-from .layout import Blocks, Rays, Sizes
-from .trilinear import blend, cells, interpolate, leaves
+from .trilinear import Blocks, Marked, Rays, Sizes, Unmarked, blend, cells, interpolate, leaves, values
 
 f32 = np.float32
 _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)

@@ -1,16 +1,86 @@
-"""Trilinear interpolation of the voxels around sixteen points at a time."""
+"""Trilinear interpolation of the voxels around sixteen points at a time.
+
+What the numba kernels of the raycast are given: rays and lengths.
+
+Where rays look D up: in a copy that tells what has been observed, or in the map with its W.
+
+The march is compiled for each: with one for both that branches at every look-up, rays take 10 to 20 % longer.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import int32, njit, types
+from numba.core.extending import overload
+
+from gsfusion_nb.constants import VOXELS_PER_BLOCK
+
+from ..runtime.numba.simd import absolute, any_lane, either, floor, maximum, select, splat
+from ..runtime.numba.simd_int import below, but_not, gather, gather_int, select_int, splat_int, truncate
+
+
+class Rays(NamedTuple):
+    """x / z of every four columns and y / z of every four rows, for four by four pixels [N, 16]; the pose [4, 4]."""
+
+    x: np.ndarray
+    y: np.ndarray
+    T_WC: np.ndarray
+
+
+class Sizes(NamedTuple):
+    """Edge of a voxel, truncation distance and edge of a block, metres."""
+
+    voxel: float | np.float32
+    truncation: float | np.float32
+    block: float | np.float32
+
+
+class Blocks(NamedTuple):
+    """The blocks [B, 3] and the values of their voxels, block after block."""
+
+    coords: np.ndarray
+    D: np.ndarray
+    W: np.ndarray
+
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
 # pyright: reportCallIssue=false
 
-import numpy as np
-from numba import int32, njit
 
-from gsfusion_nb.constants import VOXELS_PER_BLOCK
+_ZERO, _INFINITE = np.float32(0.0), np.float32(np.inf)
 
-from ..runtime.numba.simd import absolute, any_lane, either, floor, maximum, splat
-from ..runtime.numba.simd_int import below, but_not, gather_int, select_int, splat_int, truncate
-from .field import values
+
+class Marked(NamedTuple):
+    """D of every voxel that rays may look up, infinite where it has not been observed."""
+
+    D: np.ndarray
+
+
+class Unmarked(NamedTuple):
+    """D and W of every voxel."""
+
+    D: np.ndarray
+    W: np.ndarray
+
+
+def values(field, at, wanted):
+    """D of sixteen voxels, infinite where they are not wanted or have not been observed; in compiled code only."""
+    raise NotImplementedError
+
+
+@overload(values, inline="always")
+def _(field, at, wanted):
+    if not isinstance(field, types.NamedTuple | types.NamedUniTuple):
+        return None
+    if field.instance_class is Marked:
+        return lambda field, at, wanted: gather(field.D, at, wanted, splat(_INFINITE))
+
+    def asking(field, at, wanted):
+        observed = gather(field.W, at, wanted, splat(_ZERO)) > splat(_ZERO)
+        return select(observed, gather(field.D, at, wanted, splat(_INFINITE)), splat(_INFINITE))
+
+    return asking
+
 
 f32 = np.float32
 _ZERO, _HALF, _INFINITE = f32(0.0), f32(0.5), f32(np.inf)

@@ -1,4 +1,7 @@
-"""Cases of ``fit_pairs``: points in front of and behind the camera, with and without depth, some of them wrong."""
+"""Least squares of matched points for the relative pose of two views.
+
+Cases of ``fit_pairs``: points in front of and behind the camera, with and without depth, some of them wrong.
+"""
 
 from collections.abc import Iterator
 

@@ -25,8 +25,8 @@ from gsfusion_nb.tracking.matching import (
 )
 from gsfusion_nb.types import Camera
 
-from ..runtime.lens import lens_of
-from ..runtime.numba.twist import solve_into, turn_about_camera
+from ..runtime.arguments import lens_of
+from ..runtime.numba.scalars import solve_into, turn_about_camera
 
 
 class Pairs(NamedTuple):

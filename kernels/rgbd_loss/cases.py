@@ -1,4 +1,7 @@
-"""Cases of ``rgbd_l1_vjp``: none, some and all pixels; missing depths; values that are equal."""
+"""L1 loss of colour and depth with its gradient (RTG-SLAM).
+
+Cases of ``rgbd_l1_vjp``: none, some and all pixels; missing depths; values that are equal.
+"""
 
 from collections.abc import Iterator
 

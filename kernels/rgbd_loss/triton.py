@@ -13,8 +13,7 @@ from torch import Tensor
 from gsfusion_nb.optim.rgbd_loss import RgbdLoss
 from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp as reference
 
-from ..runtime.triton.launch import device_of, launch, parts
-from ..runtime.triton.vectors import load3, store3
+from ..runtime.triton.launch import device_of, launch, load3, parts, store3
 from . import host
 from .host import is_float32, limit_m, to_loss
 

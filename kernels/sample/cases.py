@@ -1,5 +1,8 @@
-"""Cases of ``sample_voxels`` and ``sample_fused_voxels``: points inside and outside of a map, on its borders, and none;
-for the second also blocks that are only about to be allocated, and both distances."""
+"""Voxels that contain given points, as they are and as a frame will change them.
+
+Cases of ``sample_voxels`` and ``sample_fused_voxels``: points inside and outside of a map, on its borders, and none;
+for the second also blocks that are only about to be allocated, and both distances.
+"""
 
 from collections.abc import Iterator
 from typing import Any

@@ -11,8 +11,8 @@ from gsfusion_nb.tsdf import TsdfSample, TsdfVolume
 from gsfusion_nb.types import Frame
 
 from ..integrate.cuda import view_of
+from ..runtime.arguments import check_dtype, packed, parts
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import check_dtype, packed, parts
 
 _BLOCK = 128
 

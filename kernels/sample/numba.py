@@ -13,7 +13,7 @@ from gsfusion_nb.tsdf import NewBlocks, TsdfSample, TsdfVolume
 from gsfusion_nb.tsdf import sample_voxels as reference
 from gsfusion_nb.types import Frame
 
-from ..runtime.block_table import BlockTable
+from ..runtime.arguments import BlockTable
 from ..runtime.numba.launch import launching
 
 f32 = np.float32

@@ -1,4 +1,7 @@
-"""Cases of ``dssim_vjp``: pictures smaller and larger than the window."""
+"""D-SSIM loss with its gradient.
+
+Cases of ``dssim_vjp``: pictures smaller and larger than the window.
+"""
 
 from collections.abc import Iterator
 

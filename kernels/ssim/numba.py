@@ -16,7 +16,7 @@ from gsfusion_nb.optim import losses as reference
 
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.simd import LANES, iota, load, reduce_add, select, splat, store
-from .planes import BY_MEAN, BY_PRODUCT, BY_SQUARE, N_MEANS, N_TERMS, XX, XY, YY, X, Y
+from .window import BY_MEAN, BY_PRODUCT, BY_SQUARE, N_MEANS, N_TERMS, XX, XY, YY, X, Y
 from .window import window as window_weights
 
 f32 = np.float32

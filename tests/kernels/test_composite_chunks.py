@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.kernels.composite import chunks
+from gsfusion_nb.kernels.composite import entries as chunks
 from gsfusion_nb.kernels.composite.cases import cases
 
 

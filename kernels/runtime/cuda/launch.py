@@ -9,7 +9,7 @@ from torch import Tensor
 
 from gsfusion_nb.backends import BackendUnavailable
 
-from ..gpu import one_device
+from ..arguments import one_device
 from . import driver, nvrtc
 from .structs import Arguments
 

@@ -1,7 +1,42 @@
-"""A Gauss-Newton step of a pose: six equations, and the motion that their solution is."""
+"""Small functions of numba kernels: bits, tasks dealt out in turn to threads, twists."""
 
 import numpy as np
-from numba import njit
+from llvmlite import ir
+from numba import njit, types
+from numba.core.extending import intrinsic
+
+
+@intrinsic
+def popcount(typingctx, word):
+    """Number of ones in a uint64, int64."""
+    return types.int64(types.uint64), lambda context, builder, sig, args: builder.ctpop(args[0])
+
+
+@intrinsic
+def lowest(typingctx, word):
+    """Position of the lowest one in a uint64 that is not zero, uint64."""
+
+    def codegen(context, builder, sig, args):
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.uint64(types.uint64), codegen
+
+
+GROUPS = 16
+
+
+@njit(inline="always")
+def cyclic_size(n):
+    """Numbers that the loop runs through for ``n`` tasks: ``n`` rounded up to whole rounds."""
+    return (n + GROUPS - 1) // GROUPS * GROUPS
+
+
+@njit(inline="always")
+def cyclic_task(k, n):
+    """The task of number ``k`` of the loop; numbers from ``n`` on stand for no task."""
+    rounds = (n + GROUPS - 1) // GROUPS
+    return k % rounds * GROUPS + k // rounds
+
 
 SMALL = 1e-4
 """Below this square of the angle the series are used, as in ``gsfusion_nb.geometry.se3.exp``."""

@@ -1,8 +1,24 @@
-"""Where the pixels to be drawn are, tile by tile: the numba kernels list a splat only in tiles where it can be seen."""
+"""How many (Gaussian, tile) pairs the kernels can number, and where the pixels to be drawn are, tile by tile.
+
+The numba kernels list a splat only in tiles where it can be seen.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
+
+MOST_PAIRS = 1 << 31
+"""Kernels number pairs with 32 bits."""
+
+
+def check_pairs(total: int) -> None:
+    """Raise ``ValueError`` if there are more (Gaussian, tile) pairs than kernels can number."""
+    if total >= MOST_PAIRS:
+        raise ValueError(
+            f"render_forward: {total} (Gaussian, tile) pairs are more than 2^31; draw a smaller image, "
+            "or a map of smaller Gaussians"
+        )
+
 
 FIRST_X, LAST_X, FIRST_Y, LAST_Y = range(4)
 """Columns of ``TileWindows.windows``."""

@@ -1,7 +1,13 @@
-"""Starting a kernel on a GPU, whatever it is written in: where its tensors are, and how many programs it takes."""
+"""Arguments of kernels: tensors as the arrays that a kernel reads, checked and packed."""
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
 import torch
 from torch import Tensor
+
+from gsfusion_nb.types import Camera
 
 _ALIGNMENT = 16
 """Bytes: rows are read four numbers at a time."""
@@ -38,3 +44,33 @@ def as_bytes(mask: Tensor | None) -> Tensor | None:
 def parts(count: int, size: int) -> int:
     """Blocks of threads, or programs, needed for ``count`` items, ``size`` in each."""
     return -(-count // size)
+
+
+class BlockTable(NamedTuple):
+    """A box of blocks, ``size`` [3] of them along each axis from block ``low`` [3]; z changes fastest in ``rows``."""
+
+    rows: np.ndarray
+    """Row in the pool of each block of the box, -1 where there is none."""
+    low: np.ndarray
+    size: np.ndarray
+
+
+class Lens(NamedTuple):
+    """Focal lengths and principal point, pixels."""
+
+    fx: Any
+    fy: Any
+    cx: Any
+    cy: Any
+
+
+def lens_of(camera: Camera, number: Callable[[float], Any] = float) -> Lens:
+    """Those of ``camera``, each as a ``number``: its precision in the kernel."""
+    return Lens(fx=number(camera.fx), fy=number(camera.fy), cx=number(camera.cx), cy=number(camera.cy))
+
+
+def ray_slopes(camera: Camera) -> tuple[Tensor, Tensor]:
+    """x / z of every column [W] and y / z of every row [H] of pixels, float32."""
+    x = (torch.arange(camera.width, dtype=torch.float32) + (0.5 - camera.cx)) / camera.fx
+    y = (torch.arange(camera.height, dtype=torch.float32) + (0.5 - camera.cy)) / camera.fy
+    return x, y

@@ -1,1 +1,0 @@
-"""One step of Adam on every row of a map, or of one parameter."""

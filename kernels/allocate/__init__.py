@@ -1,1 +1,0 @@
-"""Which voxel blocks a frame's depth touches."""

@@ -1,1 +1,0 @@
-"""Lists of the Gaussians that touch each tile, a stage of rasterize."""

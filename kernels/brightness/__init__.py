@@ -1,1 +1,0 @@
-"""Sums of the brightness error that joins ICP."""

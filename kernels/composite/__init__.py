@@ -1,1 +1,0 @@
-"""Front-to-back blending of each tile's Gaussians and its gradient, a stage of rasterize."""

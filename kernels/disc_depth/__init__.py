@@ -1,1 +1,0 @@
-"""Depth of the first opaque disc at each pixel, and its gradient (RTG-SLAM)."""

@@ -1,1 +1,0 @@
-"""Spherical harmonics, a stage of rasterize."""

@@ -1,1 +1,0 @@
-"""Update of the TSDF from one frame."""

@@ -1,1 +1,0 @@
-"""Least squares of landmarks for the pose of a camera."""

@@ -1,1 +1,0 @@
-"""Triangle mesh of the TSDF's zero level."""

@@ -1,1 +1,0 @@
-"""Mean absolute and squared difference of a picture, with the gradient."""

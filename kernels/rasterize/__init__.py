@@ -1,1 +1,0 @@
-"""Picture of a Gaussian map and its gradient."""

@@ -1,1 +1,0 @@
-"""Surface of the TSDF seen from a camera."""

@@ -1,1 +1,0 @@
-"""Least squares of matched points for the relative pose of two views."""

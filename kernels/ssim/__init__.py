@@ -1,1 +1,0 @@
-"""D-SSIM loss with its gradient."""
