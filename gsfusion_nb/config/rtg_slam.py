@@ -297,8 +297,8 @@ def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
 
     Args:
         preset: Data set whose published numbers to take.
-        fidelity: Which to follow where paper and released code differ: "paper", "code", or "measured", the value that
-            gave the better result in our measurements; it overrides the data set's numbers.
+        fidelity: Which to follow where paper and released code differ: "paper", "code", or "measured", a value of our
+            own for some settings (``docs/rtg_slam.md``); it overrides the data set's numbers.
         overrides: Fields, nested ones with a double underscore: ``rtg_slam("tum", window__iterations=20)``.
 
     Raises:

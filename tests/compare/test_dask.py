@@ -123,13 +123,14 @@ def test_a_run_that_hangs_fails_and_the_others_are_done(distributed, spec, tmp_p
     file.write_text("import time\n\n\ndef hangs(ctx):\n    while True:\n        time.sleep(0.1)\n")
     stuck = Entry(spec=spec(f"{file}:hangs", rule_source=file.read_text()))
     entries = [stuck, Entry(spec=spec("uniform"))]
+    store = ResultStore(tmp_path / "a", tmp_path / "cache a")
     with WorkerPool(do_task, 1) as pool:
-        found = dict(run_all(entries, ResultStore(tmp_path / "a", tmp_path / "cache a"), InProcesses(pool, limit_s=40)))
+        found = dict(run_all(entries, store, InProcesses(pool, limit_s=40.0)))
     assert ("longer than" in found[0].reason, found[1].reason) == (True, "")
     cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
         store = ResultStore(tmp_path / "b", tmp_path / "cache b")
-        found = dict(run_all(entries, store, OnDask(client, limit_s=40)))
+        found = dict(run_all(entries, store, OnDask(client, limit_s=40.0)))
     assert ("longer than" in found[0].reason, found[1].reason) == (True, "")
 
 
@@ -146,7 +147,7 @@ class Lost(OnDask):
     """A cluster whose only worker goes before it has begun a task."""
 
     def __init__(self, client, cluster):
-        super().__init__(client, no_worker_s=2)
+        super().__init__(client, no_worker_s=2.0)
         self._cluster = cluster
 
     def put(self, number, task):
