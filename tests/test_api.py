@@ -93,7 +93,11 @@ def table(modules: dict[str, set[str]]) -> Iterator[str]:
 def renewed(page: str) -> str:
     """The page with its tables made again."""
     stable = "".join(table({module: set(names.split()) for module, names in STABLE.items()}))
-    rest = "".join(table(names_that_may_change()))
+    rest = "\n| module | names |\n|---|---|\n"
+    for module, names in names_that_may_change().items():
+        in_order = sorted(names, key=lambda name: (name.lower(), name))
+        rest += f"| `{module}` | {', '.join(f'`{name}`' for name in in_order)} |\n"
+    rest += "\n"
     return TABLES.sub(lambda m: m[1] + stable + m[2] + rest + m[3], page)
 
 
@@ -109,6 +113,8 @@ def test_every_name_of_the_page_imports_and_every_name_of_a_notebook_is_on_it():
     for line in page[page.index("<!-- stable -->") :].splitlines():
         if heading := re.fullmatch(r"`(gsfusion_nb[\w.]*)`", line):
             module = heading[1]
+        elif row := re.match(r"\| `(gsfusion_nb[\w.]*)` \| (.*) \|", line):
+            of_page |= {id(get(row[1], name)) for name in re.findall(r"`(\w+)`", row[2])}
         elif row := re.match(r"\| `(\w+)` \|", line):
             of_page.add(id(get(module, row[1])))
     assert len(of_page) > 150
