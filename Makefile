@@ -101,8 +101,8 @@ slides: setup
 # "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to Binder and Colab.
 REPOSITORY ?=
 book: setup
-	@$(BIN)/python -m gsfusion_nb.book --installed || $(BIN)/python -m pip install --quiet --editable ".[book]"
-	$(BIN)/python -m gsfusion_nb.book runs/book $(if $(REPOSITORY),--repository "$(REPOSITORY)")
+	@PYTHONPATH=tools $(BIN)/python -m book --installed || $(BIN)/python -m pip install --quiet --editable ".[book]"
+	PYTHONPATH=tools $(BIN)/python -m book runs/book $(if $(REPOSITORY),--repository "$(REPOSITORY)")
 
 # A wheel in dist/, which needs neither this folder nor a compiler: pip install dist/gsfusion_nb-*.whl
 wheel:

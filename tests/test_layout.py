@@ -20,9 +20,8 @@ FLOORS = {
     **dict.fromkeys(("recordings", "runs"), 6),
     **dict.fromkeys(("viz", "course"), 7),
     **dict.fromkeys(("doctor", "compare"), 8),
-    "book": 9,
-    "cli": 10,
-    "__main__": 11,
+    "cli": 9,
+    "__main__": 10,
 }
 
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")

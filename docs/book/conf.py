@@ -1,4 +1,4 @@
-"""Settings of Sphinx for the web book; ``python -m gsfusion_nb.book`` assembles the pages and passes the title."""
+"""Settings of Sphinx for the web book; ``python -m book``, in ``tools``, assembles the pages and passes the title."""
 
 import inspect
 import os

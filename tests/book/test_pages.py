@@ -1,20 +1,15 @@
 """The pieces of the web book on small inputs: pages of chapters, quiz, settings, the link checker."""
 
 import base64
-import os
-import re
-import subprocess
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-
-from gsfusion_nb.book.assemble import Settings, opening_bar, read_settings, with_answers
-from gsfusion_nb.book.build import broken_links
-from gsfusion_nb.book.chapters import Chapter
-from gsfusion_nb.book.pages import in_the_book
-from gsfusion_nb.book.places import Places, places_of
+from book.assemble import Settings, opening_bar, read_settings, with_answers
+from book.build import broken_links
+from book.chapters import Chapter
+from book.pages import Places, in_the_book, places_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -132,13 +127,3 @@ def test_the_link_checker_finds_what_is_wrong(tmp_path):
         "index.html leads to no.png: no such file",
         "s.css loads https://fonts.example.org/f.css from another server",
     ]
-
-
-def test_binder_installs_what_make_installs():
-    script = ROOT / ".binder/postBuild"
-    assert subprocess.run(["bash", "-n", str(script)]).returncode == 0
-    assert os.access(script, os.X_OK)
-    wanted = re.search(r'"(torch[^"]+)"', (ROOT / "Makefile").read_text())
-    assert wanted is not None
-    assert f'"{wanted[1]}"' in script.read_text()
-    assert "gsfusion-nb doctor --warm" in script.read_text()

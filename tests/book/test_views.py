@@ -9,9 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-
-from gsfusion_nb.book.views.panels import record_panel
-from gsfusion_nb.book.views.record import (
+from book.record import (
     cells_to_run,
     kernel_views,
     put_views,
@@ -22,7 +20,9 @@ from gsfusion_nb.book.views.record import (
     wanted_views,
     write,
 )
-from gsfusion_nb.book.views.recorded import front_ends, needed_cells
+from book.recorded import needed_cells
+from book.recorders import record_panel
+
 from gsfusion_nb.foreign import read_object
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import MixMicroscope, PixelMicroscope, amdahl_panel
@@ -110,16 +110,6 @@ def test_every_live_view_of_a_chapter_is_recorded_or_says_that_it_needs_a_kernel
                     assert cell["id"] in known, f"{notebook.name}, cell {cell['id']}: {data['text/plain']}"
 
 
-def test_a_view_that_needs_a_kernel_says_so(tmp_path):
-    (tmp_path / "views.toml").write_text('[chapter_03.x]\nkernel = "It computes."\n')
-    notebook = tmp_path / "03_x.ipynb"
-    notebook.write_text("{}")
-    listed = record_all([notebook], tmp_path / "views.toml", tmp_path / "out")
-    assert "<b>Needs a kernel.</b> It computes." in (view_html(listed, "notebooks/03_x.ipynb", "x") or "")
-    put_views(listed, tmp_path / "out", tmp_path / "site")
-    assert not (tmp_path / "site").exists()
-
-
 def test_the_page_blends_a_pixel_as_the_renderer_does(node, tmp_path):
     microscope = PixelMicroscope(cloud(), CAMERA, torch.eye(4))
     found = in_node(node, tmp_path, record(microscope).data, "stackAt(splats, u, v)")
@@ -175,7 +165,7 @@ def in_node(node, folder: Path, data: dict, call: str) -> list:
         .replace("PIXELS", json.dumps(PIXELS))
         .replace("CALL", call)
     )
-    scripts = [ROOT / "gsfusion_nb/book/static" / name for name in ("pixel_stack.js", "pixel_mix.js")]
+    scripts = [ROOT / "tools/book/static" / name for name in ("pixel_stack.js", "pixel_mix.js")]
     (folder / "run.mjs").write_text("".join(path.read_text() for path in scripts) + script)
     done = subprocess.run([node, folder / "run.mjs"], capture_output=True, text=True, check=True)
     return json.loads(done.stdout)
@@ -217,12 +207,6 @@ def test_the_files_of_a_view_are_where_its_page_looks(recorded_views, tmp_path):
     assert (tmp_path / "site/notebooks/03_x_files/cell.view.js").read_text().startswith('gsnbView("cell", {')
     assert (tmp_path / "site/notebooks/03_x_files/cell/0_0_0.webp").exists()
     assert view_html(listed, "notebooks/03_x.ipynb", "other") is None
-
-
-def test_the_viewers_scripts_are_no_modules():
-    for name, text in front_ends().items():
-        assert "\nexport " not in text, name
-        assert "\nimport " not in text, name
 
 
 @pytest.mark.ci

@@ -1,4 +1,4 @@
-"""Records the views of one chapter: ``python -m gsfusion_nb.book.views.record NOTEBOOK VIEWS.toml OUT``.
+"""Records the views of one chapter: ``python -m book.record NOTEBOOK VIEWS.toml OUT``.
 
 The cells that a view needs are run as the notebook runs them, in this process, and the value of the view's own cell is
 recorded. For each view: ``OUT/CELL.view.js``, its pictures in ``OUT/CELL/``, and an entry of ``OUT/views.json``.
@@ -24,8 +24,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ...foreign import read_object
+from gsfusion_nb.foreign import read_object
+
 from .recorded import Recorded, needed_cells, needs_kernel, placeholder
+from .recorders import record
 
 
 def wanted_views(path: Path, chapter: str) -> dict[str, dict[str, Any]]:
@@ -55,46 +57,6 @@ def cells_to_run(notebook: Mapping[str, Any], wanted: Mapping[str, Mapping[str, 
                 source = source.replace(old, new)
             found.append((cell["id"], source))
     return found
-
-
-def record(view: Any, grids: Sequence[Sequence[str]] = ()) -> Recorded:
-    """Record whatever a cell shows.
-
-    Raises:
-        TypeError: there is no recorder for it.
-    """
-    from ...viz.live.live_loop import LiveLoop
-    from ...viz.live.live_mapper import LiveMapper
-    from ...viz.live.orbit import OrbitView
-    from ...viz.meshes.viewer import MeshViewer
-    from ...viz.microscopes.gradient_microscope import GradientMicroscope
-    from ...viz.microscopes.mix_microscope import MixMicroscope
-    from ...viz.microscopes.pixel_microscope import PixelMicroscope
-    from ...viz.panels.panel import Panel
-    from ...viz.panels.trace import TracePanel
-    from ...viz.splats.viewer import SplatViewer
-    from ...viz.steppers.stepper import Stepper
-    from . import microscopes, panels, viewers
-
-    with_grids: dict[type, Any] = {
-        Panel: panels.record_panel,
-        GradientMicroscope: microscopes.record_gradients,
-        TracePanel: microscopes.record_trace,
-    }
-    recorders: dict[type, Any] = {
-        Stepper: panels.record_stepper, LiveMapper: panels.record_live_mapper,
-        LiveLoop: panels.record_live_loop, SplatViewer: viewers.record_splats, MeshViewer: viewers.record_mesh,
-        OrbitView: viewers.record_orbit, MixMicroscope: microscopes.record_mix,
-        PixelMicroscope: microscopes.record_microscope,
-    }  # fmt: skip
-    for kind, act in with_grids.items():
-        if isinstance(view, kind):
-            return act(view, grids)
-    for kind, act in recorders.items():
-        if isinstance(view, kind):
-            return act(view)
-    known = ", ".join(kind.__name__ for kind in (*with_grids, *recorders))
-    raise TypeError(f"there is no recorder for {type(view).__name__}; known: {known}")
 
 
 def run(cells: Sequence[tuple[str, str]], names: dict[str, Any], targets: Mapping[str, Any]) -> dict[str, Recorded]:
@@ -190,8 +152,9 @@ def record_all(notebooks: Iterable[Path], views: Path, out: Path, *, jobs: int =
 
 
 def _record(notebook: Path, views: Path, folder: Path) -> None:
-    command = [sys.executable, "-m", "gsfusion_nb.book.views.record", *map(str, (notebook, views, folder))]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "book.record", *map(str, (notebook, views, folder))]
+    paths = [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     done = subprocess.run(command, env=environment, text=True, stderr=subprocess.PIPE)
     if done.returncode:
         last = "\n".join(done.stderr.splitlines()[-12:])
@@ -200,13 +163,12 @@ def _record(notebook: Path, views: Path, folder: Path) -> None:
 
 
 def _fingerprint() -> str:
-    """Of the package's code, without that of the pages: what a view shows depends on it."""
+    """Of the package's code and of the recorders: what a view shows depends on it."""
     root = Path(str(files("gsfusion_nb")))
     found = hashlib.sha256()
-    for path in sorted([*root.rglob("*.py"), *root.parent.joinpath("kernels").rglob("*.py")]):
-        name = path.relative_to(root.parent).as_posix()
-        if not name.startswith("gsfusion_nb/book/") or "/views/" in name:
-            found.update(name.encode() + path.read_bytes())
+    own = [Path(__file__).with_name(name) for name in ("record.py", "recorded.py", "recorders.py")]
+    for path in sorted([*root.rglob("*.py"), *root.parent.joinpath("kernels").rglob("*.py"), *own]):
+        found.update(path.relative_to(root.parent).as_posix().encode() + path.read_bytes())
     return found.hexdigest()
 
 

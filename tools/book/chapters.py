@@ -9,9 +9,9 @@ from html import escape
 from itertools import count
 from typing import Any
 
-from ..course.exercise import exercises
-from .pages import in_the_book, numbered, raw
-from .places import Places
+from gsfusion_nb.course.exercise import exercises
+
+from .pages import Places, in_the_book, numbered, raw
 
 _PICTURES = {"image/png": "png", "image/jpeg": "jpg"}
 _SOURCE = re.compile(r'href="(?:\.\./)+([\w/.-]+)#line=(\d+)"')

@@ -1,4 +1,4 @@
-"""``python -m gsfusion_nb.book runs/book`` builds the web book; see docs/book.md."""
+"""``PYTHONPATH=tools python -m book runs/book`` builds the web book; see docs/book.md."""
 
 import argparse
 import logging
@@ -13,7 +13,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 def main(arguments: list[str] | None = None) -> int:
     """Build the book; 1 if it could not be built, or a link leads nowhere."""
-    parser = argparse.ArgumentParser(prog="python -m gsfusion_nb.book", description="Builds the web book.")
+    parser = argparse.ArgumentParser(prog="python -m book", description="Builds the web book.")
     parser.add_argument("out", type=Path, nargs="?", default=Path("runs/book"), help="folder of the site; replaced")
     parser.add_argument("--installed", action="store_true", help="only say whether the extra 'book' is installed")
     words = "chapters whose live views are recorded, such as 03,08; all by default, '' for none"

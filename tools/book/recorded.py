@@ -6,13 +6,16 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...viz.front_end import mesh_front_end, source, splat_front_end
+from gsfusion_nb.viz.display import source
+from gsfusion_nb.viz.meshes import MeshViewer
+from gsfusion_nb.viz.splat_viewer import SplatViewer
 
+STATIC = Path(__file__).parent / "static"
 WIDEST_PX = 760
 """Pictures are made narrower than this."""
 
@@ -127,8 +130,8 @@ _EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)
 def front_ends() -> dict[str, str]:
     """File name -> text of each viewer's script; each gives its ``render`` to ``gsnbFrontEnds``."""
     texts = {
-        "splat": splat_front_end(),
-        "mesh": mesh_front_end(),
+        "splat": SplatViewer._esm,
+        "mesh": MeshViewer._esm,
         "stepper": source("steppers/stepper.js"),
         "pixels": _EXPORT.sub("", "".join(map(_own, _PIXELS))),
         "trace": _own("trace.js"),
@@ -145,12 +148,12 @@ def _classic(kind: str, text: str) -> str:
 
 def style_sheet() -> str:
     """The viewers' styles."""
-    theirs = ("splats/viewer", "meshes/viewer", "steppers/stepper", "panels/click_image")
+    theirs = ("splats/viewer", "meshes/viewer", "steppers/stepper", "click_image")
     return "\n".join([*(source(f"{name}.css") for name in theirs), _own("views.css")])
 
 
 def _own(name: str) -> str:
-    return files("gsfusion_nb.book").joinpath("static", name).read_text(encoding="utf-8")
+    return (STATIC / name).read_text(encoding="utf-8")
 
 
 def some(entries: Sequence[Any], most: int) -> list[Any]:

@@ -76,7 +76,7 @@
     return bits & 32768 ? -value : value;
   }
 
-  /** Names and values of a Gaussian, from its packed row (viz/splats/packed_rows.py). */
+  /** Names and values of a Gaussian, from its packed row (viz/splat_rows.py). */
   function recordOf(view, { stride }, columns, row) {
     const at = row * stride, four = (v) => String(Number(v.toPrecision(4)));
     const floats = (from, count) => Array.from({ length: count }, (_, k) => view.getFloat32(at + from + 4 * k, true));

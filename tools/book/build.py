@@ -17,11 +17,12 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..files import atomic_file
+from gsfusion_nb.files import atomic_file
+
 from .assemble import ARCHIVE, Assembly, Settings
-from .places import Places, places_of
-from .views.record import put_views, record_all, view_html
-from .views.recorded import front_ends, style_sheet
+from .pages import Places, places_of
+from .record import put_views, record_all, view_html
+from .recorded import STATIC, front_ends, style_sheet
 
 _ELSEWHERE = re.compile(r"^(?:[a-z][a-z0-9+.-]*:|//)", re.IGNORECASE)
 _LOADING = {("script", "src"), ("img", "src"), ("link", "href"), ("iframe", "src"), ("source", "src"), ("video", "src")}
@@ -191,7 +192,7 @@ def _write_static(folder: Path) -> None:
     """Style sheets, scripts, and MathJax with its fonts, so that no page loads anything from elsewhere."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    for file in files("gsfusion_nb.book").joinpath("static").iterdir():
+    for file in STATIC.iterdir():
         (folder / file.name).write_bytes(file.read_bytes())
     (folder / "views.css").write_text(style_sheet(), encoding="utf-8")
     for name, text in front_ends().items():
@@ -205,7 +206,7 @@ def _write_static(folder: Path) -> None:
 
 
 def _sphinx(root: Path, pages: Path, extra: Path, static: Path, doctrees: Path, out: Path, settings: Settings) -> None:
-    from .. import __version__
+    from gsfusion_nb import __version__
 
     shutil.rmtree(out, ignore_errors=True)
     environment = {

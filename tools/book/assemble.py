@@ -17,11 +17,11 @@ from pathlib import Path
 from types import ModuleType
 from urllib.parse import quote
 
-from ..files import atomic_file
-from ..foreign import read_object
+from gsfusion_nb.files import atomic_file
+from gsfusion_nb.foreign import read_object
+
 from .chapters import Chapter
-from .pages import in_the_book, raw
-from .places import Places
+from .pages import Places, in_the_book, raw
 
 _GITHUB = re.compile(r"https://github\.com/([\w.-]+/[\w.-]+)")
 
