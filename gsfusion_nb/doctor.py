@@ -157,7 +157,7 @@ def _backends() -> list[EnvironmentCheck]:
 
 
 def _drawing() -> EnvironmentCheck:
-    from .viz.meshes.picture import can_draw
+    from .viz.meshes import can_draw
 
     ok, why = can_draw()
     remedy = "until this works, notebooks and reports have no pictures of meshes"

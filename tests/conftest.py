@@ -204,7 +204,8 @@ def split(small_room, config):
 def recorded_views():
     """Small live views of the web book, one of each kind: a panel with two sliders, a stepper, a map, a mesh, the
     microscopes, and the trace of a first frame."""
-    from gsfusion_nb.book.views.record import record
+    from book.recorders import record
+
     from gsfusion_nb.types import Camera, GaussianParams, Mesh
     from gsfusion_nb.viz import (
         GradientMicroscope,
@@ -215,7 +216,7 @@ def recorded_views():
         amdahl_panel,
         orbit_camera,
     )  # fmt: skip
-    from gsfusion_nb.viz.meshes.viewer import MeshViewer
+    from gsfusion_nb.viz.meshes import MeshViewer
 
     panel = amdahl_panel({"fuse": 0.01, "optimise": 0.03}, width=360).set(fuse=10.0)
     camera = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=80.0, cy=60.0)

@@ -3,7 +3,7 @@ import subprocess
 import pytest
 
 from gsfusion_nb import doctor
-from gsfusion_nb.viz.meshes.picture import can_draw
+from gsfusion_nb.viz.meshes import can_draw
 
 
 @pytest.fixture(autouse=True)

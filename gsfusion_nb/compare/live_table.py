@@ -20,7 +20,7 @@ from ..drawing.page import fill
 from ..drawing.pictures import Picture, data_uri
 from ..mapping import StepReport
 from ..viz.display import Bundle, with_picture
-from ..viz.live.player import Player, player_buttons
+from ..viz.player import Player, player_buttons
 from .executors import Answer, InProcess, do_task, executor
 from .map_scene import Entry
 from .outputs import all_tables, write_outputs, write_records

@@ -76,7 +76,7 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
     gaussians_are_discs: ClassVar[bool] = False
     """Whether the Gaussians are discs on the surface; then their distance to the true surface is scored, too."""
     panels: ClassVar[tuple[str, ...]] = ("input", "render", "error", "new_gaussians")
-    """Pictures of one step to show while mapping, by name; ``gsfusion_nb.viz.live.step_panels.PANELS`` draws them."""
+    """Pictures of one step to show while mapping, by name; ``gsfusion_nb.viz.map_pictures.PANELS`` draws them."""
     curves: ClassVar[dict[str, Callable[[StepReport], float | int]]] = {
         "PSNR of the frame, dB": lambda report: report.psnr_after_db,
         "Gaussians": lambda report: report.n_gaussians,

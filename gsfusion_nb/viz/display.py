@@ -1,13 +1,20 @@
-"""Putting arrays and live views into a notebook's output."""
+"""Pictures and widgets in a notebook's output: what every panel and viewer uses."""
 
+import json
 import os
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Literal
+
+import anywidget
+import traitlets as t
 
 from ..drawing.curves import curve_figure as curve_figure
 from ..drawing.curves import figure_png as figure_png
 from ..drawing.curves import figure_words
-from ..drawing.pictures import AnyImage, encode_jpeg
+from ..drawing.pictures import AnyImage, encode_jpeg, encode_png
 from ..drawing.pictures import colour_depth as colour_depth
 from ..drawing.pictures import error_map as error_map
 from ..drawing.pictures import paint_cells as paint_cells
@@ -90,3 +97,137 @@ def with_picture(bundle: Any, picture: AnyImage, text: str, *, alt: str = "") ->
     data["image/jpeg"] = base64.b64encode(encode_jpeg(picture)).decode("ascii")
     data["text/plain"] = text
     return data, {"image/jpeg": {"alt": alt or text}}
+
+
+_IMPORT = re.compile(r'^import .* from "[./\w]+\.js";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)
+
+
+def source(name: str) -> str:
+    """The text of ``static/NAME``."""
+    return files("gsfusion_nb.viz").joinpath("static", *name.split("/")).read_text(encoding="utf-8")
+
+
+def joined(modules: Sequence[str]) -> str:
+    """JavaScript modules one after the other, without the imports and exports between them.
+
+    anywidget takes one module, and a page may load nothing else.
+    """
+    return "\n".join(_EXPORT.sub("", _IMPORT.sub("", source(f"{name}.js"))) for name in modules)
+
+
+def front_end(worker: Sequence[str], page: Sequence[str], worker_name: str, texts: Mapping[str, str]) -> str:
+    """The module of a viewer that computes in a worker.
+
+    Args:
+        worker: Modules of the worker, in the order of their imports; without a page, so that node runs them too.
+        page: Modules of the page.
+        worker_name: Constant that holds the worker's text; its code is also in the page, for where none is allowed.
+        texts: Constant -> name of a file that it holds.
+    """
+    code = joined(worker)
+    constants = {worker_name: code, **{name: source(file) for name, file in texts.items()}}
+    lines = "\n".join(f"const {name} = {json.dumps(text)};" for name, text in constants.items())
+    return f"{code}\n{lines}\n{joined(page)}"
+
+
+_LOST_CSS = """
+.gsnb-lost:empty { display: none; }
+.gsnb-lost { margin: 6px 0; padding: 4px 8px; border-left: 3px solid #d1495b; }
+"""
+
+
+class LostNotice(anywidget.AnyWidget):
+    """Empty while the kernel lives; after a restart or a shutdown it tells to run the cell again.
+
+    It also gives the sliders beside it their labels as names for screen readers, which ipywidgets does not.
+    """
+
+    _esm = joined(("lost", "notice"))
+    _css = _LOST_CSS
+
+
+def synced(trait: t.TraitType) -> Any:
+    """A trait that Python and the page share."""
+    return trait.tag(sync=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stroke:
+    """A drag over a picture, from where it began to where the pointer is now."""
+
+    number: int
+    """Increases with each drag."""
+    start: tuple[float | int, float | int]
+    """(u, v) where the button was pressed, pixels of the image."""
+    now: tuple[float | int, float | int]
+    """(u, v) of the pointer."""
+    shift: bool = False
+    """Whether the shift key was held at the start."""
+
+    @property
+    def moved(self) -> tuple[float | int, float | int]:
+        """(du, dv) since the start, pixels of the image."""
+        return self.now[0] - self.start[0], self.now[1] - self.start[1]
+
+
+class ClickImage(anywidget.AnyWidget):
+    """A picture that says where it is touched, with the mouse, a finger, or the arrow keys.
+
+    With touch "pixel", ``pixel`` is the (column, row) last clicked, dragged to, or reached with the arrow keys;
+    ``observe(f, "pixel")`` calls ``f`` at each change. With touch "stroke", ``on_stroke(f)`` calls ``f(stroke)`` while
+    the picture is dragged; each arrow key drags by 4 pixels. While ``f`` is at work, newer positions replace each
+    other, so that only the last one waits. The picture may be an enlarged copy of the image: positions are in pixels of
+    the image.
+
+    Args:
+        columns, rows: Size of the image, pixels.
+        width: On screen, pixels; less where the page is narrower.
+        format: "jpeg" for photographs, "png" for drawings.
+        alt: What it shows, for screen readers.
+        touch: "pixel", "stroke", or "" for a picture that is only looked at.
+    """
+
+    _esm = source("click_image.js")
+    _css = source("click_image.css")
+
+    value = synced(t.Bytes(b""))
+    format = synced(t.Enum(("jpeg", "png"), "jpeg"))
+    size = synced(t.Tuple(t.Int(), t.Int(), default_value=(1, 1)))
+    width = synced(t.Int(320))
+    alt = synced(t.Unicode(""))
+    touch = synced(t.Enum(("", "pixel", "stroke"), "pixel"))
+    pixel = synced(t.Tuple(t.Int(), t.Int(), default_value=(0, 0)))
+    stroke = synced(t.List(t.Float(), [0.0] * 6, minlen=6, maxlen=6))
+
+    def __init__(
+        self,
+        columns: int,
+        rows: int,
+        *,
+        width: int = 320,
+        format: str = "jpeg",
+        alt: str = "picture",
+        touch: Literal["", "pixel", "stroke"] = "pixel",
+    ):
+        super().__init__(size=(columns, rows), width=width, format=format, alt=alt, touch=touch)
+
+    def show(self, picture: AnyImage) -> None:
+        """Show another picture."""
+        self.value = encode_jpeg(picture, 92) if self.format == "jpeg" else encode_png(picture, 3)
+
+    def on_stroke(self, act: Callable[[Stroke], None]) -> None:
+        """Call ``act`` with the newest state of each drag."""
+        self.observe(lambda _change: act(self.last_stroke), "stroke")
+
+    @property
+    def last_stroke(self) -> Stroke:
+        """The newest drag."""
+        number, shift, u0, v0, u, v = self.stroke
+        return Stroke(number=int(number), start=(u0, v0), now=(u, v), shift=bool(shift))
+
+    @t.validate("pixel")
+    def _inside(self, proposal: Any) -> tuple[int, int]:
+        u, v = proposal["value"]
+        columns, rows = self.size
+        return min(max(u, 0), columns - 1), min(max(v, 0), rows - 1)

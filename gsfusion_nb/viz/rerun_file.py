@@ -16,7 +16,7 @@ from ..geometry import quaternion
 from ..geometry.upright import world_up
 from ..mapping import Mapper, StepReport
 from ..types import Camera, Frame, GaussianParams, Mesh
-from .meshes.picture import decimated
+from .meshes import decimated
 
 MESH_TRIANGLES = 150_000
 """A mesh is thinned out to this many before it is written: 3 MB."""

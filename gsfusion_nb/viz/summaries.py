@@ -23,8 +23,9 @@ from ..runs.posed_frames import frames_in_map
 from ..seeding import Cells
 from ..tsdf import TsdfVolume
 from ..types import Frame
-from .panels.tsdf_slice import slice_picture
-from .splats.viewer_picture import splat_picture, starting_pose, viewing_camera
+from .map_pictures import map_picture
+from .panels.tsdf import slice_picture
+from .viewpoint import places_of, viewing_camera
 
 WIDTH_PX = 240
 """Width of one picture."""
@@ -111,9 +112,9 @@ def _gaussians(model: GaussianModel) -> tuple[Picture | None, dict[str, str]]:
         return None, rows
     params = model.params[:: 1 + (len(model) - 1) // _MOST_DRAWN]
     camera = viewing_camera(None, WIDTH_PX, WIDTH_PX * 3 // 4)
-    pose, _ = starting_pose(params, camera, None, torch.tensor([0.0, 0.0, 1.0]))
+    pose = places_of(params, camera, None, torch.tensor([0.0, 0.0, 1.0]))["photo"].T_WC
     size_cm, opacity = 100 * model.scale_m.median(), model.opacity.median()
-    return splat_picture(params, camera, pose.to(model.device)), rows | {
+    return map_picture(params, camera, pose.to(model.device)), rows | {
         "median": f"standard deviation {float(size_cm):.2f} cm, opacity {float(opacity):.2f}",
         "added": f"in frames {int(model.birth_frame.min())} to {int(model.birth_frame.max())}",
         "picture": "seen from 35 degrees above",

@@ -1,4 +1,4 @@
-"""Where to look from: a camera that circles a point, and a good place to start."""
+"""Where to look from: a camera that circles a point, and good places to start."""
 
 import math
 from collections.abc import Sequence
@@ -7,6 +7,11 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from ..checks import check_pose
+from ..evaluation import expected_depth_m
+from ..render import render
+from ..types import Camera, GaussianParams
 
 Vector = Float[Tensor, "3"] | Sequence[float | int]
 
@@ -53,32 +58,6 @@ def orbit_camera(
     return T.to(torch.float32)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Viewpoint:
-    """The numbers of ``orbit_camera``."""
-
-    target_W: tuple[float, float, float]
-    azimuth_deg: float
-    elevation_deg: float
-    distance_m: float
-
-    def pose(self, up_W: Vector) -> Float[Tensor, "4 4"]:
-        """T_WC of the camera."""
-        return orbit_camera(self.target_W, self.azimuth_deg, self.elevation_deg, self.distance_m, up_W)
-
-
-def viewpoint_of(T_WC: Float[Tensor, "4 4"], distance_m: float | int, up_W: Vector) -> Viewpoint:
-    """The orbit that passes through a camera and circles the point ``distance_m`` in front of it (its roll is lost)."""
-    T = T_WC.detach().cpu().double()
-    e1, e2, up = _plane(up_W)
-    forward = T[:3, 2]
-    target = T[:3, 3] + distance_m * forward
-    elevation = math.degrees(math.asin(max(-1.0, min(1.0, float(-forward @ up)))))
-    azimuth = math.degrees(math.atan2(float(-forward @ e2), float(-forward @ e1)))
-    x, y, z = target.tolist()
-    return Viewpoint(target_W=(x, y, z), azimuth_deg=azimuth, elevation_deg=elevation, distance_m=distance_m)
-
-
 def extent(xyz_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "3"], float]:
     """Centre and radius (half the diagonal) of the box around the points without the outermost 2 % on each side."""
     if not len(xyz_W):
@@ -99,3 +78,74 @@ def _plane(up_W: Vector) -> tuple[Tensor, Tensor, Tensor]:
     e1 = axis - (axis @ up) * up
     e1 = e1 / e1.norm()
     return e1, torch.linalg.cross(up, e1), up
+
+
+_FOCAL_PER_WIDTH = 0.7
+"""Focal length / image width of a viewer without a camera: a 71 degree wide view."""
+
+
+def viewing_camera(camera: Camera | None, width: int | None, height: int | None) -> Camera:
+    """The given camera for a canvas of the given size, with its horizontal angle of view.
+
+    By default the canvas has the camera's size, at most 640 pixels wide; without a camera it is 480 x 360.
+    """
+    if camera is None:
+        w, h = width or 480, height or 360
+        return Camera(width=w, height=h, fx=_FOCAL_PER_WIDTH * w, fy=_FOCAL_PER_WIDTH * w, cx=w / 2, cy=h / 2)
+    if width is None:
+        width = min(camera.width, 640) if height is None else round(height * camera.width / camera.height)
+    scaled = camera.resized(width, round(width * camera.height / camera.width))
+    if height is None or height == scaled.height:
+        return scaled
+    return Camera(
+        width=width, height=height, fx=scaled.fx, fy=scaled.fy,
+        cx=scaled.cx, cy=scaled.cy + (height - scaled.height) / 2,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place:
+    """A camera pose of a viewer, and what it hides."""
+
+    T_WC: Float[Tensor, "4 4"]
+    pivot_m: float
+    """Distance of the point to turn around, metres."""
+    cut_m: float = 0.0
+    """Everything nearer than this is hidden, metres."""
+
+
+def places_of(
+    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"] | None, up_W: Float[Tensor, "3"]
+) -> dict[str, Place]:
+    """Where a viewer of a map can be put.
+
+    Args:
+        params: The map.
+        camera: Of the viewer.
+        T_WC: The pose "photo"; without one it is a view of the whole map from 35 degrees above. Its pivot is at the
+            median depth of the view.
+        up_W: The world's up direction.
+
+    Returns:
+        "photo", where the viewer starts; "above", without the roof; and "inside", in the middle of the map.
+    """
+    centre_W, radius_m = extent(params.xyz_W)
+    x, y, z = centre_W.tolist()
+    far_m = 0.9 * radius_m / min(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
+
+    def around(azimuth_deg: float, elevation_deg: float, distance_m: float) -> Float[Tensor, "4 4"]:
+        return orbit_camera((x, y, z), azimuth_deg, elevation_deg, distance_m, up_W)
+
+    if T_WC is None:
+        photo = Place(T_WC=around(-60.0, 35.0, far_m), pivot_m=far_m)
+    else:
+        check_pose("T_WC", T_WC)
+        pose = T_WC.detach().cpu().float()
+        depth_m = expected_depth_m(render(params, camera, pose))
+        seen = depth_m[depth_m > 0]
+        photo = Place(T_WC=pose, pivot_m=float(seen.median()) if len(seen) else radius_m)
+    return {
+        "photo": photo,
+        "above": Place(T_WC=around(-60.0, 74.0, far_m), pivot_m=far_m, cut_m=max(far_m - 0.13 * radius_m, 0.0)),
+        "inside": Place(T_WC=around(90.0, 0.0, 0.0), pivot_m=0.3),
+    }

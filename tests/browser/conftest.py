@@ -249,8 +249,8 @@ def _wait_for_server(url: str, output: Path) -> None:
 @pytest.fixture(scope="session")
 def book_site(tmp_path_factory) -> Path:
     """The web book: that of $GSNB_BOOK, or one that is built without recorded views."""
-    from gsfusion_nb.book.assemble import Settings
-    from gsfusion_nb.book.build import build
+    from book.assemble import Settings
+    from book.build import build
 
     if ready := os.environ.get("GSNB_BOOK"):
         return Path(ready).resolve()
@@ -262,11 +262,11 @@ def book_site(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def views_page(tmp_path_factory, recorded_views) -> Path:
     """Folder of ``views.html``, a page with a view of each kind, as a chapter has them."""
-    from gsfusion_nb.book.views.record import write
-    from gsfusion_nb.book.views.recorded import front_ends, placeholder, style_sheet
+    from book.record import write
+    from book.recorded import front_ends, placeholder, style_sheet
 
     folder = tmp_path_factory.mktemp("views")
-    static = _PROJECT / "gsfusion_nb/book/static"
+    static = _PROJECT / "tools/book/static"
     scripts = {**front_ends(), "views.css": style_sheet(), "views.js": (static / "views.js").read_text()}
     for name, text in scripts.items():
         (folder / name).write_text(text)

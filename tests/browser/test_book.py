@@ -9,8 +9,7 @@ from pathlib import Path
 
 import npm_programs
 import pytest
-
-from gsfusion_nb.book.build import missing
+from book.build import missing
 
 pytestmark = [
     pytest.mark.slow,
@@ -163,7 +162,7 @@ def test_a_recorded_trace_follows_clicks(open_file, views_page):
 
 
 def test_a_table_of_results_is_sorted_by_a_heading(open_file, tmp_path):
-    (tmp_path / "book.js").write_text((ROOT / "gsfusion_nb/book/static/book.js").read_text())
+    (tmp_path / "book.js").write_text((ROOT / "tools/book/static/book.js").read_text())
     cells = "".join(
         f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in (("a", "9.5"), ("b", "1,200"), ("c", "30"))
     )

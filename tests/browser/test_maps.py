@@ -13,7 +13,7 @@ MAP = """
 import torch
 torch.set_num_threads(1)
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
-from gsfusion_nb.viz import tsdf_fill_panel, orbit_view, point_panel, show_mesh
+from gsfusion_nb.viz import SplatViewer, tsdf_fill_panel, point_panel, show_mesh
 config = gsfusion("room", tsdf__voxel_size_m=0.02)
 walk = open_sequence("room", data=config.data, n_frames=60)
 mapper = GSFusion(config)
@@ -24,9 +24,9 @@ MESH = """
 viewer = show_mesh(mapper.mesh(), size=(480, 360))
 viewer
 """
-ORBIT = """
-view = orbit_view(mapper)
-view
+SPLATS = """
+splats = SplatViewer(mapper)
+splats
 """
 POINTS = """
 points = point_panel(walk.mapping[0])
@@ -43,7 +43,7 @@ fill
 
 @pytest.fixture(scope="module")
 def page(lab):
-    page = lab.open([MAP, MESH, ORBIT, POINTS, FILL])
+    page = lab.open([MAP, MESH, SPLATS, POINTS, FILL])
     yield page
     page.close()
 
@@ -115,9 +115,29 @@ def test_a_mesh_is_turned_offline(lab, page):
     assert lab.requests == []
 
 
-@pytest.mark.parametrize(
-    ("panel", "slider"), [("orbit", "azimuth"), ("points", "turn_deg"), ("fill", "heading_deg"), ("fill", "height_m")]
-)
+def splat_pixels(page):
+    url = page.evaluate("document.querySelector('.gsnb-splat-software').toDataURL('image/png')")
+    png = np.frombuffer(base64.b64decode(url.split(",")[1]), np.uint8)
+    return np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR))[..., ::-1].astype(int)
+
+
+def test_the_splat_viewer_goes_to_other_places(lab, page):
+    page.locator(".gsnb-splat-scene").scroll_into_view_if_needed()
+    lab.wait_for(lambda: splat_pixels(page).std() > 20, "the map")
+    photo = splat_pixels(page)
+    for place in ("above", "inside", "photo"):
+        page.locator(".gsnb-splat-places button", has_text=place).click()
+        lab.wait_for(lambda place=place: lab.value(page, f"splats.pose == splats.places['{place}'][0]"), "the pose")
+        time.sleep(1.0)  # a fine picture
+        painted = np.array(lab.value(page, "splats.picture().tolist()"))
+        assert np.abs(splat_pixels(page) - painted).mean() < 8, place
+        lab.screenshot(page.locator(".gsnb-splat-root").first, f"splats_{place}")
+        assert (lab.value(page, "splats.cut_m") > 0) == (place == "above")
+    assert np.abs(splat_pixels(page) - photo).mean() < 1
+    assert lab.errors == []
+
+
+@pytest.mark.parametrize(("panel", "slider"), [("points", "turn_deg"), ("fill", "heading_deg"), ("fill", "height_m")])
 def test_sliders_redraw(lab, page, panel, slider):
     image = page.locator(f".gsnb-{panel}-image img").first
     if panel == "fill":

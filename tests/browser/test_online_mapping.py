@@ -24,7 +24,7 @@ splats
 """
 RULE = """
 from gsfusion_nb.seeding import seeding_rule
-from gsfusion_nb.viz.panels.seeding_rule import rule_context, rule_panel
+from gsfusion_nb.viz.panels.seeding import rule_context, rule_panel
 walk = open_sequence("room", data=config.data, n_frames=60)
 context = rule_context(GSFusion(config), walk.mapping[0])
 

@@ -100,7 +100,7 @@ def psnr(a, b):
 @pytest.fixture
 def start(scene):
     """Every test begins at the first pose with the first settings; the picture there."""
-    code = 'viewer.set_trait("pose", viewer.home)'
+    code = "viewer.set_trait('pose', viewer.places['photo'][0])"
     for name, value in (
         ("colour_by", "rgb"),
         ("points", False),
@@ -124,12 +124,12 @@ def test_dragging_orbits_and_r_goes_back(scene, start):
     turned = scene.drag(90, 20)
     scene.screenshot("orbit")
     assert difference(turned, start) > 5
-    assert scene.value("viewer.pose") != scene.value("viewer.home")
+    assert scene.value("viewer.pose") != scene.value("viewer.places['photo'][0]")
     ours = np.array(scene.value("viewer.picture().tolist()"), np.uint8)
     assert psnr(turned, ours) > 38
     scene.page.keyboard.press("r")  # the notebook would make the cell raw
     assert difference(scene.settle(), start) < 0.5
-    assert scene.value("viewer.pose") == pytest.approx(scene.value("viewer.home"), abs=1e-5)
+    assert scene.value("viewer.pose") == pytest.approx(scene.value("viewer.places['photo'][0]"), abs=1e-5)
 
 
 def test_pan_zoom_and_arrows(scene, start):
@@ -152,7 +152,7 @@ def test_a_click_arrives_in_python(scene, start):
     scene.screenshot("picked")
     assert scene.value("heard")[-1] == row
     assert scene.value("viewer.picked_row().row") == row
-    T = np.array(scene.value("viewer.home")).reshape(4, 4)
+    T = np.array(scene.value("viewer.places['photo'][0]")).reshape(4, 4)
     x, y, z = T[:3, :3].T @ (np.array(scene.value("viewer.picked_row().xyz_W")) - T[:3, 3])
     fx, fy, cx, cy = scene.value("viewer.intrinsics")
     reach = 4 * max(scene.value("viewer.picked_row().scale_m")) / z * fx + 3

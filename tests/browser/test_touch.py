@@ -15,12 +15,11 @@ MOVES = 15
 SCENES = """
 import torch
 torch.set_num_threads(1)
-from gsfusion_nb.compare.bench.scene import random_scene
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import RoomSequence, render_room
 from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.types import Camera, Frame
-from gsfusion_nb.viz import one_gaussian_panel, orbit_view, point_panel, tsdf_fill_panel
+from gsfusion_nb.viz import one_gaussian_panel, point_panel, tsdf_fill_panel
 room = RoomSequence(n_frames=60, width=320, height=240)
 small = room.camera.resized(160, 120)
 def look(T_WC):
@@ -34,7 +33,6 @@ fill
 """
 ONE = "one = one_gaussian_panel(Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0))\none"
 POINTS = "points = point_panel(room[0])\npoints"
-ORBIT = "orbit = orbit_view(random_scene(8_000, 480, 360, sh_degree=3).params)\norbit"
 
 METER = """(image) => {
     const times = (window.gsnbTimes = { moved: 0, shown: [] });
@@ -48,7 +46,7 @@ METER = """(image) => {
 
 @pytest.fixture(scope="module")
 def page(lab):
-    page = lab.open([SCENES, FILL, ONE, POINTS, ORBIT])
+    page = lab.open([SCENES, FILL, ONE, POINTS])
     page.set_viewport_size({"width": 1000, "height": 1000})
     page.evaluate("window.jupyterapp.shell.collapseLeft()")
     yield page
@@ -92,7 +90,6 @@ CASES = {
     "fill": ("the camera in the slice", (312 / 694 * 0.5, 0.5), "x_m"),
     "one-gaussian": ("the Gaussian", (0.5, 0.5), "x_m"),
     "points": ("the moved view", (0.75, 0.5), "turn_deg"),
-    "orbit": ("the map", (0.5, 0.5), "azimuth"),
 }
 
 
@@ -102,7 +99,7 @@ def test_the_picture_follows_the_drag_without_a_queue(lab, page, name):
     image, handle = page.locator(f".gsnb-{name}-image img").first, page.locator(f".gsnb-{name}-{control} .noUi-handle")
     if name == "fill":
         size = page.evaluate("(i) => [i.naturalWidth, i.naturalHeight]", image.element_handle())
-        at = json.loads(lab.run(page, "import json; from gsfusion_nb.viz.panels.tsdf_fill import camera_handles; "
+        at = json.loads(lab.run(page, "import json; from gsfusion_nb.viz.panels.tsdf import camera_handles; "
                                 "print(json.dumps(camera_handles(0.4, -0.4, 100.0)['place']))"))  # fmt: skip
         start = (at[0] / size[0], (at[1] + 26) / size[1])
     before, value = lab.screenshot(image, f"touch_{name}_before"), handle.get_attribute("aria-valuenow")
@@ -121,11 +118,13 @@ def test_the_picture_follows_the_drag_without_a_queue(lab, page, name):
 
 
 def test_the_arrow_keys_drag_too(lab, page):
-    image = page.locator(".gsnb-orbit-image img")
-    azimuth = lab.value(page, "orbit.sliders['azimuth'].value")
+    image = page.locator(".gsnb-one-gaussian-image img")
+    x_m = lab.value(page, "one.set(x_m=0.0, y_m=0.0).values['x_m']")
+    at = image.bounding_box()
+    page.mouse.click(at["x"] + at["width"] / 2, at["y"] + at["height"] / 2)
     image.focus()
     for _ in range(3):
         page.keyboard.press("ArrowLeft")
-    lab.wait_for(lambda: lab.value(page, "orbit.sliders['azimuth'].value") != azimuth, "the camera to turn")
+    lab.wait_for(lambda: lab.value(page, "one.values['x_m']") != x_m, "the Gaussian to move")
     assert lab.errors == []
     assert lab.requests == []

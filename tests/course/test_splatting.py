@@ -6,7 +6,7 @@ from gsfusion_nb.course import check, splatting
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.render import composite, project_gaussians, tile_intersections
 from gsfusion_nb.types import Camera
-from gsfusion_nb.viz.microscopes.one_gaussian import gaussian_row, orientation_from_angles
+from gsfusion_nb.viz.panels.one_gaussian import gaussian_row, orientation_from_angles
 
 CAMERA = Camera(width=80, height=60, fx=52.0, fy=60.0, cx=40.0, cy=30.0)
 

@@ -16,21 +16,6 @@ def test_texts_are_escaped_and_markup_is_not():
     assert "<a>" not in html
 
 
-def test_styles_of_cells_are_those_of_headings_unless_said():
-    html = html_table([("a",)], heads=("h",), cell_style="color:red")
-    assert html.count('style="color:red"') == 2
-    html = html_table([("a",)], heads=("h",), cell_style="color:red", head_style="")
-    assert html.count('style="color:red"') == 1
-    assert "<th>h</th>" in html
-
-
-def test_the_foot_goes_across_all_columns():
-    html = html_table([("a", "b", "c")], heads=("1", "2", "3"), foot="2 more", name="gsnb-x", style="font-size:9px")
-    assert 'colspan="3"' in html
-    assert '<table class="gsnb-x" style="font-size:9px">' in html
-    assert html.endswith("</table>")
-
-
 def test_a_value_that_is_not_given_is_an_error():
     with pytest.raises(UndefinedError, match="'verdict' is undefined"):
         fill("verdict.html", colour="red")

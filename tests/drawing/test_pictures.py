@@ -89,12 +89,6 @@ def test_cell_borders_are_drawn_and_insides_are_not():
     assert (same[8, 0] == same[8, 24]).all()
 
 
-def test_cells_enlarge_and_no_cells_leave_the_image():
-    image = torch.rand(6, 8, 3)
-    assert pictures.paint_cells(image, cells((0, 0, 8, 6, 0)), scale=3).shape == (18, 24, 3)
-    assert (pictures.paint_cells(image, cells()) == pictures.to_uint8(image)).all()
-
-
 def test_side_by_side_fits_heights_and_labels():
     a, b = torch.zeros(40, 50, 3), np.full((20, 30, 3), 200, np.uint8)
     row = side_by_side([a, b], ["input", "a label that is much too long for its narrow picture"])
@@ -118,18 +112,6 @@ def test_encoding_keeps_channel_order():
     assert len(pictures.encode_jpeg(torch.rand(64, 64, 3), 30)) < len(pictures.encode_jpeg(torch.rand(64, 64, 3), 95))
 
 
-def test_fit_width_only_shrinks():
-    assert pictures.fit_width(torch.zeros(30, 100, 3), 50).shape == (15, 50, 3)
-    assert pictures.fit_width(torch.zeros(30, 100, 3), 200).shape == (30, 100, 3)
-
-
-def test_colour_stops_are_the_ends_of_the_map():
-    stops = pictures.colour_stops("turbo", 3)
-    assert len(stops) == 3
-    image = pictures.colour_depth(torch.tensor([[1.0, 2.0]]), 1.0, 2.0)
-    assert [stops[0], stops[-1]] == ["#{:02x}{:02x}{:02x}".format(*image[0, i]) for i in (0, 1)]
-
-
 def test_curve_figure_has_labels_a_legend_and_no_pyplot():
     import sys
 
@@ -151,12 +133,6 @@ def test_curve_figure_has_labels_a_legend_and_no_pyplot():
     assert ink.min() > 40  # nothing that is lost on a dark page
     assert ink.max(axis=1).min() < 230  # nor on a white one
     assert getattr(sys.modules.get("matplotlib.pyplot"), "get_fignums", list)() == []
-
-
-def test_stacked_areas_add_up():
-    figure = curves.curve_figure([0, 1], {"a": [1.0, 2.0], "b": [3.0, 4.0]}, x_label="x", y_label="y", stacked=True)
-    top = figure.axes[0].collections[1].get_paths()[0].vertices
-    assert np.asarray(top)[:, 1].max() == 6.0
 
 
 def test_a_drawing_gets_a_transparent_ground_or_the_card():

@@ -5,21 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from gsfusion_nb.drawing.curves import PALETTE
-from gsfusion_nb.drawing.small_curves import number, small_curves
+from gsfusion_nb.drawing.curves import PALETTE, small_curves
 
 BLUE = np.array([int(PALETTE[0][i : i + 2], 16) for i in (1, 3, 5)])
 
 
 def line_columns(image):
     return np.nonzero((np.abs(image.astype(int) - BLUE).sum(-1) < 60).any(0))[0]
-
-
-def test_size_and_no_values():
-    image = small_curves({"a": [], "b": [1.0]}, n_x=10, width=200, height=80, scale=2)
-    assert image.shape == (160, 800, 3)
-    assert image.dtype == np.uint8
-    assert len(line_columns(image[:, :400])) == 0
 
 
 def test_the_line_rises_and_fills_as_much_as_is_done():
@@ -37,7 +29,3 @@ def test_nan_leaves_a_gap():
     values = [1.0] * 10 + [math.nan] * 10 + [2.0] * 10
     columns = line_columns(small_curves({"a": values}, n_x=30, width=200, height=80, scale=1))
     assert np.diff(columns).max() > 30
-
-
-def test_short_numbers():
-    assert [number(v) for v in (21.53, 3.0, 3294, 41_075, 0.25)] == ["21.5", "3", "3,294", "41.1k", "0.2"]

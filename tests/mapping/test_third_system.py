@@ -112,7 +112,7 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import SYSTEMS, get_system, make_mapper, system_of
 from gsfusion_nb.runs import MappingRun, resume_mapping
 from gsfusion_nb.runs.run_warnings import describe_full
-from gsfusion_nb.viz import LiveMapper, orbit_view
+from gsfusion_nb.viz import LiveMapper, SplatViewer
 
 out = Path(sys.argv[1])
 assert Path(gsfusion_nb.__file__).is_relative_to(out), gsfusion_nb.__file__
@@ -152,7 +152,7 @@ live = LiveMapper(run)
 assert live.run_sync(2) == 2
 live.picture()
 assert list(live.panels.pictures) == ["input", "render", "error", "new_gaussians"]
-assert orbit_view(run.mapper).picture().any()
+assert SplatViewer(run.mapper).picture().any()
 assert "5 Gaussians" in describe_full(run.mapper)
 print("the toy system works")
 """

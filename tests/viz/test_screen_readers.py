@@ -18,14 +18,12 @@ from gsfusion_nb.viz import (
     frame_surface,
     icp_panel,
     one_gaussian_panel,
-    orbit_view,
     point_panel,
     quadtree_panel,
     sh_ball_panel,
     tsdf_fill_panel,
 )
-from gsfusion_nb.viz.lost import LostNotice
-from gsfusion_nb.viz.panels.click_image import ClickImage
+from gsfusion_nb.viz.display import ClickImage, LostNotice
 
 CAMERA = Camera(width=48, height=36, fx=40.0, fy=40.0, cx=24.0, cy=18.0)
 _FRAME = Frame(
@@ -56,7 +54,6 @@ MAKERS = {
     "discs": disc_panel,
     "icp": lambda: icp_panel(_FRAME, frame_surface(_FRAME)),
     "amdahl": lambda: amdahl_panel({"seed": 0.1, "optimise": 0.3}),
-    "orbit": lambda: orbit_view(_scene().params, size=(48, 36)),
     "pixel": lambda: _microscope(PixelMicroscope),
     "gradient": lambda: _microscope(GradientMicroscope),
     "loop": _loop,

@@ -9,7 +9,6 @@ import sys
 import cv2
 import numpy as np
 import pytest
-import torch
 
 import gsfusion_nb
 from gsfusion_nb import gsfusion
@@ -54,11 +53,6 @@ def test_a_frame_shows_colour_beside_depth(run):
     assert shown.shape[1] > 160
 
 
-def test_a_frame_without_depth(run):
-    frame = dataclasses.replace(run.sequence.mapping[0], depth_m=torch.zeros(60, 80))
-    assert "0 % of the pixels" in html_summary(frame)
-
-
 def test_a_volume_shows_its_extent_and_a_slice(run):
     volume = run.mapper.volume
     page = html_summary(volume)
@@ -93,11 +87,6 @@ def test_a_run_shows_a_frame_beside_the_map(run):
     assert f"{len(run.mapper.gaussians):,}" in page
     photo, rendered = np.split(picture(page)[:, :166], [86], axis=1)
     assert abs(photo[:, :80].mean() - rendered.mean()) < 40
-
-
-def test_of_other_things_there_is_none():
-    with pytest.raises(TypeError, match="no summary for int; there are summaries for Frame, TsdfVolume"):
-        html_summary(3)
 
 
 def test_ipython_is_told_of_every_summary_and_of_no_other():

@@ -1,6 +1,7 @@
-"""Panels about discs: disc depth beside blended depth in a small scene, and the masks of RTG-SLAM's Eq. 6."""
+"""Panels about surfaces that carry Gaussians: disc depth, the masks of RTG-SLAM's Eq. 6, GPS-SLAM's two parts."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -10,15 +11,15 @@ from torch import Tensor
 
 from ...config import DiscConfig
 from ...drawing.page import html_table
-from ...drawing.pictures import Picture, colour_depth, error_map, on_card, side_by_side, to_uint8
+from ...drawing.pictures import AnyImage, Picture, colour_depth, error_map, on_card, side_by_side, to_uint8
 from ...gaussians.surfels import OPAQUE
 from ...geometry import quaternion
 from ...geometry.spherical_harmonics import rgb_to_sh_dc
 from ...render import SurfaceView, view_surface
 from ...types import Camera, Frame, GaussianParams
-from ..microscopes.stack_picture import INK, write
-from ..splats.surfel_pictures import CAUSES
-from .panel import Drawn, Number, Panel, Slider
+from ..map_pictures import CAUSES
+from .panel import Choice, Drawn, Number, Panel, Slider
+from .pixel_stack import INK, write
 
 STAGE_CAMERA = Camera(width=96, height=60, fx=80.0, fy=80.0, cx=48.0, cy=30.0)
 NEAR_M = 1.2
@@ -260,4 +261,38 @@ def _mask_words(masks: dict[int, Tensor]) -> str:
     return html_table(
         (CAUSES[cause][0], count.format(cause, int(mask.sum())), f"{float(mask.float().mean()):.1%}")
         for cause, mask in masks.items()
+    )
+
+
+def surface_panel(
+    pictures: Mapping[str, tuple[AnyImage, AnyImage]], photo: AnyImage, *, label: str = "voxels", scale: int = 2
+) -> Panel:
+    """A choice of maps; of each, the surface, what the Gaussians add (grey: nothing), the sum, and its error.
+
+    Args:
+        pictures: Name of the map -> its surface and its whole picture, of the size of ``photo``. At least one.
+        photo: The photograph that all of them should look like.
+        label: What the names are.
+        scale: Screen pixels for each pixel.
+    """
+    names = list(pictures)
+
+    def draw(choice: str) -> Drawn:
+        surface, whole = (to_uint8(x) for x in pictures[choice])
+        added = ((whole.astype(int) - surface) + 128).clip(0, 255).astype("uint8")
+        parts = {
+            "surface": surface,
+            "added by Gaussians": added,
+            "sum": whole,
+            "|sum - photograph|": error_map(whole, photo),
+        }
+        big = [part.repeat(scale, 0).repeat(scale, 1) for part in parts.values()]
+        words = f"{label} {choice}: the surface alone, what the Gaussians add, the sum, and its error"
+        return side_by_side(big, list(parts)), words
+
+    return Panel(
+        draw,
+        {"choice": Choice(value=names[-1], options=names, label=label)},
+        name="surface",
+        text="Surface, corrections and sum",
     )

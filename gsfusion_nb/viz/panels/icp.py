@@ -3,8 +3,6 @@
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -12,15 +10,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import TrackingConfig
-from ...drawing.curves import PALETTE
+from ...drawing.curves import PALETTE, small_curves
 from ...drawing.pictures import CARD, Picture, on_card, side_by_side, to_uint8
-from ...drawing.small_curves import small_curves
-from ...geometry import depth_to_normals, depth_to_points, project, se3
-from ...tracking import DepthLevel, IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
-from ...types import Camera, Frame
-from ..microscopes.stack_picture import resize_to_height, write
+from ...geometry import depth_to_normals, se3
+from ...tracking import IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
+from ...types import Frame
+from .frames import point_view
 from .panel import Drawn, Number, Panel, Slider, Switch
-from .tsdf_slice import distance_colours
+from .pixel_stack import resize_to_height, write
+from .tsdf import distance_colours
 
 RESIDUAL_M = 0.03
 """Point-to-plane distance at the end of the colour scale."""
@@ -64,14 +62,7 @@ def residual_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"],
 
     Grey pixels fall on the surface but are rejected by distance or angle; dark ones do not fall on it.
     """
-    return _level_residuals(_finest_level(frame, config), surface, T_WC, config)
-
-
-def _finest_level(frame: Frame, config: TrackingConfig) -> DepthLevel:
-    return depth_pyramid(frame.depth_m, frame.camera, config.pyramid[-1:])[0]
-
-
-def _level_residuals(level: DepthLevel, surface: Surface, T_WC: Tensor, config: TrackingConfig) -> Picture:
+    level = depth_pyramid(frame.depth_m, frame.camera, config.pyramid[-1:])[0]
     found = associate(
         level, T_WC, surface,
         max_distance_m=config.max_distance_m, min_cosine=float(np.cos(np.radians(config.max_angle_deg))),
@@ -86,70 +77,19 @@ def _level_residuals(level: DepthLevel, surface: Surface, T_WC: Tensor, config: 
 def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) -> Picture:
     """The frame's colours, projected with the pose, mixed with the surface's; a wrong pose shows double edges."""
     base = np.zeros((*surface.depth_m.shape, 3), np.uint8) if surface.rgb is None else to_uint8(surface.rgb)
-    known = frame.depth_m > 0
-    xyz_W = se3.apply(T_WC.float(), depth_to_points(frame.camera, frame.depth_m)[known])
-    xyz_S = se3.apply(se3.inverse(surface.T_WC.float()), xyz_W)
-    rgb = to_uint8(frame.colour)[known.numpy()]
-    depth_mm = (1000 * xyz_S[:, 2]).clamp(0, 65535).numpy().astype(np.uint16)  # sorted by counting, not comparing
-    order = np.argsort(depth_mm, kind="stable")[::-1].copy()  # the nearest is written last
-    xyz_S, rgb = xyz_S[torch.from_numpy(order)], rgb[order]
-    uv = project(surface.camera, xyz_S)
-    H, W = base.shape[:2]
-    u, v = uv.floor().nan_to_num(-1).clamp(-1, 1e6).long().unbind(-1)
-    inside = (xyz_S[:, 2] > 0.05) & (u >= 0) & (u < W) & (v >= 0) & (v < H)
-    warped = base.copy()
-    warped[v[inside].numpy(), u[inside].numpy()] = rgb[inside.numpy()]
-    return ((base.astype(np.uint16) + warped) // 2).astype(np.uint8)
+    moved = dataclasses.replace(frame, T_WC=T_WC.float())
+    warped = point_view(moved, surface.T_WC, camera=surface.camera)
+    return np.where(warped.any(-1, keepdims=True), (base.astype(np.uint16) + warped) // 2, base).astype(np.uint8)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Alignment:
-    """What the pictures of an alignment are made of, prepared once."""
-
-    frame: Frame
-    """With about as many rows as the picture."""
-    surface: Surface
-    overlaid: Surface
-    """With about as many rows as the picture."""
-    finest: DepthLevel
-    config: TrackingConfig
-
-
-def _prepare(frame: Frame, surface: Surface, config: TrackingConfig) -> _Alignment:
-    return _Alignment(
-        frame=_thinned(frame, max(round(frame.camera.height / ROWS), 1)),
-        surface=surface,
-        overlaid=_thinned(surface, max(round(surface.camera.height / ROWS), 1)),
-        finest=_finest_level(frame, config),
-        config=config,
-    )
-
-
-Seen = TypeVar("Seen", Frame, Surface)
-
-
-def _thinned(seen: Seen, every: int) -> Seen:
-    """Every ``every``-th pixel of each row and column."""
-    camera = seen.camera
-    rows, columns = (len(range(0, n, every)) for n in (camera.height, camera.width))
-    cx, cy = ((c - 0.5) / every + 0.5 for c in (camera.cx, camera.cy))
-    small = Camera(width=columns, height=rows, fx=camera.fx / every, fy=camera.fy / every, cx=cx, cy=cy)
-    images = {
-        name: value[::every, ::every]
-        for name in ("colour", "rgb", "depth_m", "normal_W")
-        if name in {f.name for f in dataclasses.fields(seen)} and (value := getattr(seen, name)) is not None
-    }
-    return dataclasses.replace(seen, camera=small, **images)
-
-
-def _icp_picture(shown: _Alignment, result: IcpResult, step: int) -> Picture:
+def _icp_picture(frame: Frame, surface: Surface, config: TrackingConfig, result: IcpResult, step: int) -> Picture:
     """What ICP sees before its step number ``step``, and the curves of the whole alignment up to there."""
     poses = [h.T_WC for h in result.history] + [result.T_WC]
-    T_WC, config = poses[min(step, len(poses) - 1)], shown.config
-    residuals = _level_residuals(shown.finest, shown.surface, T_WC, config)
-    parts = [resize_to_height(p, ROWS) for p in (overlay_picture(shown.frame, shown.overlaid, T_WC), residuals)]
+    T_WC = poses[min(step, len(poses) - 1)]
+    pictures = overlay_picture(frame, surface, T_WC), residual_picture(frame, surface, T_WC, config)
+    parts = [resize_to_height(p, ROWS) for p in pictures]
     top = side_by_side(parts, ["surface and frame, mixed", "residual: red behind, blue in front, 3 cm"])
-    errors = [pose_error(T, shown.frame.T_WC) for T in poses[: step + 1]]
+    errors = [pose_error(T, frame.T_WC) for T in poses[: step + 1]]
     rms = [h.rms_m for h in result.history] + [result.rms_m]
     series = {
         "rms residual, mm": [1000 * r for r in rms[: step + 1]],
@@ -171,10 +111,7 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
         config: Pyramid levels and limits of correspondences; the defaults if left out.
     """
     settings = config or TrackingConfig()
-    shown = {
-        pyramid: _prepare(frame, surface, settings if pyramid else single_level_config(settings))
-        for pyramid in (True, False)
-    }
+    configs = {True: settings, False: single_level_config(settings)}
     kept: dict[tuple[Number, Number, bool], IcpResult] = {}
 
     def draw(*, step: int, sideways_cm: Number, turn_deg: Number, pyramid: bool) -> Drawn:
@@ -182,7 +119,7 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
         if key not in kept:
             kept.clear()
             start = displaced_pose(frame.T_WC, sideways_cm / 100, turn_deg)
-            kept[key] = icp(frame.depth_m, frame.camera, surface, start, shown[pyramid].config)
+            kept[key] = icp(frame.depth_m, frame.camera, surface, start, configs[pyramid])
         result = kept[key]
         n = len(result.history)
         off_m, off_deg = pose_error(result.T_WC, frame.T_WC)
@@ -196,7 +133,7 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
         verdict = (
             f"<b>{'converged' if well else 'not converged'}</b>: final error {off_m * 100:.1f} cm and {off_deg:.2f}°"
         )
-        return _icp_picture(shown[pyramid], result, min(step, n)), f"{words}<br>{verdict}"
+        return _icp_picture(frame, surface, configs[pyramid], result, min(step, n)), f"{words}<br>{verdict}"
 
     controls = {
         "step": Slider(value=0, low=0, high=sum(settings.iterations), step=1, label="step"),

@@ -10,10 +10,8 @@ from markupsafe import Markup
 from ...checks import check_name
 from ...drawing.page import html_table
 from ...drawing.pictures import Picture, to_uint8
-from ..display import Bundle, with_picture
-from ..lost import LostNotice
-from ..microscopes.stack_picture import CROSS, ellipse_outlines, write
-from .click_image import ClickImage
+from ..display import Bundle, ClickImage, LostNotice, with_picture
+from .pixel_stack import CROSS, ellipse_outlines, write
 
 FOLLOWS = ("pixel", "Gaussian", "voxel")
 """What a click can follow."""

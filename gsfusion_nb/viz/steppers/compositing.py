@@ -14,7 +14,7 @@ from ...drawing.curves import BETWEEN, PALETTE
 from ...render import TileLists, composite, composite_vjp
 from ...render.composite import pixel_offsets, splat_alpha
 from ...types import Camera, GaussianParams
-from ..microscopes.pixel_stack import check_pixel, project_splats
+from ..panels.pixel_stack import check_pixel, project_splats
 from .recording import Recording, record
 from .stepper import Step, Stepper, moving, step_of, style, text_of
 

@@ -5,7 +5,6 @@ import textwrap
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import anywidget
@@ -17,13 +16,12 @@ from markupsafe import Markup
 from ...drawing.curves import BETWEEN
 from ...drawing.page import html_table
 from ...drawing.pictures import encode_rgba
-from ..display import WIDGET_MIME, static_views
+from ..display import WIDGET_MIME, source, static_views, synced
 from .recording import Line, file_lines
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_STATIC = Path(__file__).parent / "static"
 _AROUND = 8
 """Lines of code that are shown before and after the one that runs."""
 SHARPNESS = 1.5
@@ -55,10 +53,6 @@ Build = Callable[["Figure"], Callable[[Step], bool | None]]
 Only animated artists are drawn again at each step; it returns True if the others have changed too."""
 
 
-def _synced(trait: t.TraitType) -> Any:
-    return trait.tag(sync=True)
-
-
 class Stepper(anywidget.AnyWidget):
     """Shows one step at a time: its line of code, a picture, its numbers. Buttons, arrow keys and a slider move.
 
@@ -73,20 +67,20 @@ class Stepper(anywidget.AnyWidget):
         stills: Steps that a stored notebook shows, in one picture; by default some evenly spaced ones.
     """
 
-    _esm = _STATIC / "stepper.js"
-    _css = _STATIC / "stepper.css"
+    _esm = source("steppers/stepper.js")
+    _css = source("steppers/stepper.css")
 
-    step = _synced(t.Int(0))
-    count = _synced(t.Int(1))
-    name = _synced(t.Unicode())
-    label = _synced(t.Unicode())
-    width = _synced(t.Int(450))
-    png = _synced(t.Bytes(b""))
-    alt = _synced(t.Unicode())
-    title = _synced(t.Unicode())
-    code = _synced(t.Unicode())
-    numbers = _synced(t.Unicode())
-    shown = _synced(t.Int(0))
+    step = synced(t.Int(0))
+    count = synced(t.Int(1))
+    name = synced(t.Unicode())
+    label = synced(t.Unicode())
+    width = synced(t.Int(450))
+    png = synced(t.Bytes(b""))
+    alt = synced(t.Unicode())
+    title = synced(t.Unicode())
+    code = synced(t.Unicode())
+    numbers = synced(t.Unicode())
+    shown = synced(t.Int(0))
     """Counts the pictures; the page draws when it changes."""
 
     def __init__(

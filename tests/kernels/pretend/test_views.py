@@ -8,9 +8,9 @@ from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.runs import MappingRun
-from gsfusion_nb.viz import LiveMapper, OrbitView, SplatViewer, draw_gaussians, show_mesh
+from gsfusion_nb.viz import LiveMapper, SplatViewer, map_picture, show_mesh
+from gsfusion_nb.viz.map_pictures import cause_picture, state_picture
 from gsfusion_nb.viz.panels.stage_bars import keyframe_strip
-from gsfusion_nb.viz.splats.surfel_pictures import cause_picture, state_picture
 from gsfusion_nb.viz.summaries import html_summary
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -41,7 +41,7 @@ def test_live_panels_summaries_and_viewers(system, gpu, monkeypatch):
     assert all("data:image" in html_summary(thing) for thing in things)
     pictures = [
         keyframe_strip(mapper.keyframes),
-        np.asarray(draw_gaussians(mapper.gaussians.params, frame.camera, frame.T_WC)),
+        np.asarray(map_picture(mapper.gaussians.params, frame.camera, frame.T_WC)),
     ]
     if isinstance(mapper, RTGSLAM):
         view = mapper.surface(frame.camera, frame.T_WC)
@@ -49,6 +49,5 @@ def test_live_panels_summaries_and_viewers(system, gpu, monkeypatch):
         pictures.append(cause_picture(frame.rgb, mapper.gaussians, frame))
     assert all(p.dtype == np.uint8 and p.std() > 0 for p in pictures)
     assert show_mesh(mapper.mesh()) is not None
-    assert OrbitView(mapper, size=(64, 48)) is not None
     assert SplatViewer(mapper) is not None
     assert torch.equal(frame.rgb.cpu(), run.sequence.mapping[2].rgb)

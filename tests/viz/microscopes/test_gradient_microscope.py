@@ -8,15 +8,15 @@ from gsfusion_nb.optim import l1_vjp
 from gsfusion_nb.render import composite, composite_vjp, tile_intersections
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import GradientMicroscope
-from gsfusion_nb.viz.microscopes import gradient_microscope
-from gsfusion_nb.viz.microscopes.gradient_microscope import (
+from gsfusion_nb.viz.panels.gradient_microscope import (
     LESS,
     MORE,
+    gaussian_gradient,
     gaussian_gradient_picture,
+    pixel_gradient,
     pixel_gradient_picture,
 )
-from gsfusion_nb.viz.microscopes.pixel_gradient import gaussian_gradient, pixel_gradient, pixel_gradient_table
-from gsfusion_nb.viz.microscopes.pixel_stack import project_splats
+from gsfusion_nb.viz.panels.pixel_stack import project_splats
 
 CAMERA = Camera(width=32, height=24, fx=26.0, fy=26.0, cx=16.0, cy=12.0)
 EYE = torch.eye(4)
@@ -82,20 +82,6 @@ def test_one_pixel_against_autograd(generator):
     torch.testing.assert_close(g.v_alpha, alpha.grad, rtol=1e-4, atol=1e-5)
 
 
-def test_a_large_field_is_sampled(generator, monkeypatch):
-    from gsfusion_nb.viz.microscopes import pixel_gradient as module
-
-    splats = project_splats(random_map(60, generator), CAMERA, EYE)
-    v_rgb = torch.randn(24, 32, 3, generator=generator)
-    row = int(splats.projection.extent_px.sum(1).argmax())
-    full = gaussian_gradient(splats, v_rgb, row)
-    monkeypatch.setattr(module, "FIELD_WORK", 300)
-    coarse = gaussian_gradient(splats, v_rgb, row)
-    assert coarse.stride > 1
-    s = coarse.stride
-    torch.testing.assert_close(coarse.v_alpha, full.v_alpha[::s, ::s], rtol=1e-4, atol=1e-6)
-
-
 def test_rows_that_are_not_in_the_picture_are_refused(generator):
     splats = project_splats(random_map(4, generator), CAMERA, EYE)
     with pytest.raises(ValueError, match=r"row must be 0..3, got 4"):
@@ -128,14 +114,6 @@ def test_green_is_more_opaque_and_red_less():
             assert counts[0] > 5 * counts[1]
 
 
-def test_the_table_says_what_should_happen():
-    splats = project_splats(one_dot(), CAMERA, EYE)
-    wish_white = pixel_gradient(splats, torch.full((24, 32, 3), -0.5), 15, 12)
-    table = pixel_gradient_table(wish_white, unit=0.5)
-    assert "more opaque" in table
-    assert "-1.500" in table  # c . v / unit = 3 * 0.5 * -1, T = 1
-
-
 def microscope(generator, n=400):
     return GradientMicroscope(random_map(n, generator), CAMERA, EYE, torch.rand(24, 32, 3, generator=generator))
 
@@ -163,38 +141,3 @@ def test_the_field_belongs_to_the_heaviest(generator):
     field = m.of_gaussian
     assert field is not None
     torch.testing.assert_close(field.v_uv.sum((0, 1)), m.total.uv[m.row], rtol=1e-3, atol=1e-8)
-
-
-def test_ssim_changes_the_gradient(generator):
-    params, target = random_map(50, generator), torch.rand(24, 32, 3, generator=generator)
-    plain, mixed = (GradientMicroscope(params, CAMERA, EYE, target, ssim_weight=s) for s in (0.0, 0.2))
-    assert not torch.equal(plain.v_rgb, mixed.v_rgb)
-
-
-def test_nothing_at_the_pixel(generator):
-    m = GradientMicroscope(random_map(0, generator), CAMERA, EYE, torch.rand(24, 32, 3, generator=generator))
-    assert m.row is None
-    m.pick = "Gaussian"
-    assert m.picture().shape[0] > 200
-
-
-def test_the_stored_output_is_a_picture(generator, monkeypatch):
-    monkeypatch.setenv("GSNB_VIEW", "static")
-    assert set(microscope(generator)._repr_mimebundle_()[0]) == {"image/jpeg", "text/plain"}
-
-
-@pytest.mark.parametrize("pick", ["pixel", "Gaussian"])
-def test_a_click_draws_one_picture_and_renders_nothing(generator, pick, monkeypatch):
-    """What does not depend on the pixel is computed once: the microscope follows the mouse."""
-    m = microscope(generator)
-    m.pick = pick
-    calls = []
-    for name in ("project_splats", "composite", "composite_vjp", "tile_intersections"):
-        monkeypatch.setattr(gradient_microscope, name, lambda *a, name=name, **k: calls.append(name))
-    for name in ("pixel_gradient_picture", "gaussian_gradient_picture"):
-        whole = getattr(gradient_microscope, name)
-        monkeypatch.setattr(
-            gradient_microscope, name, lambda *a, whole=whole, name=name, **k: calls.append(name) or whole(*a, **k)
-        )
-    m.look_at(20, 10)
-    assert calls == [{"pixel": "pixel_gradient_picture", "Gaussian": "gaussian_gradient_picture"}[pick]]

@@ -8,8 +8,8 @@ import torch
 from gsfusion_nb.render import BaseView, render_over_base
 from gsfusion_nb.render.over_base import Base
 from gsfusion_nb.types import Camera, GaussianParams
-from gsfusion_nb.viz import MixMicroscope, surface_panel
-from gsfusion_nb.viz.microscopes.mix_microscope import mix_table
+from gsfusion_nb.viz import MixMicroscope
+from gsfusion_nb.viz.panels.pixel_microscope import mix_table
 
 CAMERA = Camera(width=80, height=60, fx=60.0, fy=60.0, cx=40.0, cy=30.0)
 EYE = torch.eye(4)
@@ -60,12 +60,3 @@ def test_a_click_shows_another_mix_with_words(mapper):
     assert "two orders" in microscope.graph.alt
     bundle = microscope._repr_mimebundle_()
     assert "image/png" in str(bundle) or "image/jpeg" in str(bundle)
-
-
-def test_the_panel_of_surface_and_corrections(mapper):
-    whole = mapper.output.rgb.clamp(0, 1)
-    panel = surface_panel({"1 cm": (whole * 0.5, whole), "8 cm": (whole, whole)}, whole)
-    first = panel.picture()
-    panel.set(choice="1 cm")
-    assert first.shape == panel.picture().shape
-    assert (first != panel.picture()).any()

@@ -7,12 +7,10 @@ import torch
 
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import PixelMicroscope
-from gsfusion_nb.viz.microscopes import pixel_microscope
-from gsfusion_nb.viz.microscopes.pixel_stack import pixel_stack, project_splats
-from gsfusion_nb.viz.microscopes.stack_picture import (
-    ellipse_picture,
-    lens_picture,
+from gsfusion_nb.viz.panels.pixel_stack import (
     outlines,
+    pixel_stack,
+    project_splats,
     resize_to_height,
     stack_picture,
     with_cross,
@@ -61,13 +59,6 @@ def test_from_python_it_is_the_function(params):
     assert np.abs(stack.colour.clamp(0, 1).numpy() - rendered).max() < 0.01
 
 
-def test_the_stored_output_is_a_picture(params, monkeypatch):
-    monkeypatch.setenv("GSNB_VIEW", "static")
-    bundle = PixelMicroscope(params, CAMERA, EYE)._repr_mimebundle_()[0]
-    assert set(bundle) == {"image/jpeg", "text/plain"}
-    assert "PixelStack" in bundle["text/plain"]
-
-
 def test_a_pixel_outside_is_refused_and_nothing_changes(params):
     microscope = PixelMicroscope(params, CAMERA, EYE, pixel=(10, 10))
     with pytest.raises(ValueError, match="outside the picture"):
@@ -75,25 +66,6 @@ def test_a_pixel_outside_is_refused_and_nothing_changes(params):
     assert (microscope.stack.u, microscope.stack.v) == (10, 10)
     microscope.clicks.pixel = (999, -5)  # a front end may be mistaken
     assert (microscope.stack.u, microscope.stack.v) == (319, 0)
-
-
-def test_a_pixel_without_gaussians(generator):
-    none = GaussianParams(
-        xyz_W=torch.zeros(0, 3), log_scale=torch.zeros(0, 3), quat=torch.zeros(0, 4),
-        opacity_logit=torch.zeros(0), sh=torch.zeros(0, 1, 3),
-    )  # fmt: skip
-    microscope = PixelMicroscope(none, CAMERA, EYE)
-    assert "0 Gaussians" in microscope.caption.value
-    assert microscope.picture().shape[1] > 600
-
-
-def test_a_click_renders_nothing(params, monkeypatch):
-    """What does not depend on the pixel is computed once: the microscope follows the mouse."""
-    microscope = PixelMicroscope(params, CAMERA, EYE)
-    for name in ("render", "project_splats"):
-        monkeypatch.setattr(pixel_microscope, name, None)
-    for i in range(3):
-        assert len(microscope.look_at(20 + 90 * i, 20 + 60 * i)) > 0
 
 
 def test_bars_have_the_height_of_weight_and_the_strip_ends_in_the_colour(params):
@@ -115,20 +87,6 @@ def test_outlines_are_one_standard_deviation(params):
     torch.testing.assert_close(sigma, torch.full_like(sigma, 0.5), rtol=1e-4, atol=1e-4)
 
 
-def test_the_lens_shows_the_pixel_in_its_middle():
-    image = np.zeros((30, 40, 3), np.uint8)
-    image[12, 7] = (200, 10, 10)
-    none = GaussianParams(
-        xyz_W=torch.zeros(0, 3), log_scale=torch.zeros(0, 3), quat=torch.zeros(0, 4),
-        opacity_logit=torch.zeros(0), sh=torch.zeros(0, 1, 3),
-    )  # fmt: skip
-    splats = project_splats(none, Camera(width=40, height=30, fx=40.0, fy=40.0, cx=20.0, cy=15.0), EYE)
-    lens = lens_picture(image, splats, (7, 12), torch.zeros(0, dtype=torch.int64), radius_px=5, size=220)
-    assert lens[110, 110].tolist() == [200, 10, 10]
-    corner = lens_picture(image, splats, (0, 0), torch.zeros(0, dtype=torch.int64), radius_px=5, size=220)
-    assert corner[5, 5].tolist() == [236, 236, 236]  # beyond the border
-
-
 def test_the_cross_leaves_the_pixel_free():
     image = np.full((30, 40, 3), 90, np.uint8)
     picture = with_cross(image, 20, 15, 300)
@@ -136,9 +94,3 @@ def test_the_cross_leaves_the_pixel_free():
     assert picture[155, 205].tolist() == [90, 90, 90]
     assert picture[155, 205 + 9].tolist() == [255, 210, 0]
     assert resize_to_height(image, 15).shape == (15, 20, 3)
-
-
-def test_the_ellipses_have_their_colours(params):
-    view = ellipse_picture(project_splats(params, CAMERA, EYE), 240)
-    assert view.shape == (240, 320, 3)
-    assert (view != 32).any(2).mean() > 0.1

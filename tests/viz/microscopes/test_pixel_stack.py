@@ -9,7 +9,7 @@ from gsfusion_nb.constants import ALPHA_MAX
 from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc
 from gsfusion_nb.render import render
 from gsfusion_nb.types import Camera, GaussianParams
-from gsfusion_nb.viz.microscopes.pixel_stack import blend_at, pixel_stack, project_splats, stack_table
+from gsfusion_nb.viz.panels.pixel_stack import blend_at, pixel_stack, project_splats, stack_table
 
 CAMERA = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=20.5, cy=15.5)
 EYE = torch.eye(4)
@@ -94,19 +94,3 @@ def test_an_empty_pixel_and_an_empty_map(generator):
     assert stack.light_left == 1.0
     assert stack.colour.tolist() == [0.0, 0.0, 0.0]
     assert "sum" in stack_table(stack)
-
-
-def test_a_pixel_outside_is_refused(generator):
-    splats = project_splats(random_map(3, generator), CAMERA, EYE)
-    with pytest.raises(ValueError, match=r"pixel \(40, 0\) is outside the picture: columns 0..39"):
-        pixel_stack(splats, 40, 0)
-
-
-def test_the_table_has_a_line_each_and_a_sum():
-    params = rows((3.0, 2.0), (0.5, 0.8), ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0)))
-    stack = pixel_stack(project_splats(params, CAMERA, EYE), 20, 15)
-    table = stack._repr_html_()
-    assert table.count("<tr>") == 4  # head, two Gaussians, sum
-    assert "0.800" in table
-    assert "left 0.100" in table
-    assert stack_table(stack, rows=1).count("… 1 more") == 1

@@ -9,7 +9,6 @@ import torch
 
 from gsfusion_nb.config import TrackingConfig
 from gsfusion_nb.data.room.sequence import RoomSequence
-from gsfusion_nb.tracking import icp
 from gsfusion_nb.viz.panels.icp import (
     basin_picture,
     convergence_basin,
@@ -95,14 +94,6 @@ def test_the_basin_holds_the_truth_and_coarse_levels_widen_it(pair):
     picture = basin_picture(wide, sideways, turns)
     centre = picture[45, 62 + 45].astype(int)
     assert centre[1] > centre[0]
-
-
-def test_single_level_keeps_the_number_of_steps(pair):
-    config = single_level_config(TrackingConfig(pyramid=(8, 4, 2), iterations=(5, 4, 3)))
-    assert (config.pyramid, config.iterations) == ((2,), (12,))
-    known, frame = pair
-    result = icp(frame.depth_m, frame.camera, frame_surface(known), frame.T_WC, config)
-    assert {h.factor for h in result.history} == {2}
 
 
 def test_paths_from_above():

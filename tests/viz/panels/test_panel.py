@@ -74,12 +74,6 @@ def test_an_error_is_shown_and_the_picture_stays(panel):
     assert panel.caption.value == "grey 14"
 
 
-def test_classes_for_the_browser(panel):
-    assert "gsnb-test-image" in panel.image._dom_classes
-    assert "gsnb-test-level" in panel.controls["level"]._dom_classes
-    assert "gsnb-test-brighter-now" in panel.buttons["brighter now"]._dom_classes
-
-
 def test_a_logarithmic_slider_has_its_ends():
     panel = Panel(
         lambda *, x: (np.zeros((2, 2, 3), np.uint8), f"{x:.3f}"),
@@ -120,17 +114,3 @@ def test_a_drag_moves_sliders_from_where_they_were_when_it_began():
     panel.drag((0.0, 0.0), (90.0, 0.0))
     assert panel.values == {"level": 40, "flip": False}  # the end of the slider
     assert panel.image.alt == "A grey: grey 40, False"
-
-
-def test_only_the_newest_state_of_a_drag_is_needed():
-    panel = Panel(
-        lambda *, x: (np.full((4, 6, 3), int(x), np.uint8), ""),
-        {"x": Slider(value=0.0, low=0.0, high=9.0, step=0.5, label="x")},
-        touch=lambda stroke, values: {"x": values["x"] + stroke.moved[0]},
-    )  # fmt: skip
-    panel.image.stroke = [1, 0, 2.0, 0.0, 3.0, 0.0]  # what the browser sends; the positions between are skipped
-    panel.image.stroke = [1, 0, 2.0, 0.0, 6.0, 0.0]
-    assert panel.values == {"x": 4.0}
-    panel.image.stroke = [2, 1, 0.0, 0.0, 1.0, 0.0]
-    assert panel.values == {"x": 5.0}
-    assert panel.image.last_stroke.shift

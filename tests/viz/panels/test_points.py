@@ -7,7 +7,7 @@ import torch
 from gsfusion_nb.geometry import backproject, se3
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.viz import point_panel
-from gsfusion_nb.viz.panels.points import moved_pose, normal_colours, pixel_story, point_view
+from gsfusion_nb.viz.panels.frames import moved_pose, normal_colours, pixel_story, point_view
 
 CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
 

@@ -1,13 +1,12 @@
 """The quadtree panel without a browser: sliders change picture and count, each view shows what it says."""
 
-import cv2
 import numpy as np
 import pytest
 import torch
 
 from gsfusion_nb.seeding import quadtree
-from gsfusion_nb.viz import quadtree_panel
-from gsfusion_nb.viz.panels.quadtree import SHOWS, cell_means, quadtree_picture
+from gsfusion_nb.viz.panels.seeding import QUADTREE_SHOWS as SHOWS
+from gsfusion_nb.viz.panels.seeding import cell_means, quadtree_picture
 
 
 @pytest.fixture
@@ -45,16 +44,3 @@ def test_a_lone_cell_becomes_a_disc_about_its_middle():
     assert picture[8, 12].tolist() == [200, 200, 200]
     lit = np.argwhere(picture[..., 0] > 0)
     assert np.allclose(lit.mean(0) + 0.5, [8, 12], atol=0.1)
-
-
-def test_the_sliders_move_picture_and_count(photo):
-    panel = quadtree_panel(photo, threshold=0.02)
-    fine = cv2.imdecode(np.frombuffer(panel.image.value, np.uint8), cv2.IMREAD_COLOR)
-    count = len(quadtree(torch.from_numpy(photo), threshold=0.02))
-    assert f'gsnb-quadtree-count">{count:,}<' in panel.caption.value
-    panel.controls["threshold"].value = 10
-    assert 'gsnb-quadtree-count">1<' in panel.caption.value
-    coarse = cv2.imdecode(np.frombuffer(panel.image.value, np.uint8), cv2.IMREAD_COLOR)
-    assert np.abs(np.asarray(fine).astype(int) - np.asarray(coarse)).mean() > 5
-    panel.set(threshold=0.02, min_cell_px=8)
-    assert f'gsnb-quadtree-count">{count:,}<' not in panel.caption.value

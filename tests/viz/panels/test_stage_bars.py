@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsfusion_nb.viz.panels.stage_bars import _short, amdahl_panel, sped_up, stage_bars, stage_means
+from gsfusion_nb.viz.panels.stage_bars import amdahl_panel, stage_bars, stage_means
 
 SECONDS = {"tsdf": 0.05, "optimise": 0.05}
 
@@ -10,10 +10,6 @@ SECONDS = {"tsdf": 0.05, "optimise": 0.05}
 def test_means_leave_out_what_takes_nothing():
     means = stage_means([{"tsdf": 1.0, "tracking": 0.0}, {"tsdf": 3.0, "tracking": 0.0, "seeding": 2.0}])
     assert means == {"tsdf": 2.0, "seeding": 1.0}
-
-
-def test_faster_by_hand():
-    assert sped_up(SECONDS, {"optimise": 5.0}) == {"tsdf": 0.05, "optimise": 0.01}
 
 
 def test_the_panel_says_what_amdahl_says():
@@ -31,12 +27,3 @@ def test_a_bar_is_as_long_as_its_time():
     red = (picture == (61, 133, 198)).all(-1)  # the first colour of the palette
     long, short = red[12].sum(), red[12 + 70].sum()
     assert long == pytest.approx(2 * short, abs=3)
-
-
-def test_numbers_are_written_as_people_write_them():
-    assert [_short(x) for x in (0.05041, 7.184, 19.84, 19840.0)] == ["0.0504", "7.18", "19.8", "19,840"]
-
-
-def test_nothing_to_draw():
-    with pytest.raises(ValueError, match="at least one run"):
-        stage_bars({})

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-import torch
 
 from gsfusion_nb.course.trace import Trace
 from gsfusion_nb.viz import SplatViewer, TracePanel
-from gsfusion_nb.viz.microscopes.stack_picture import ellipse_outlines
 
 
 @pytest.fixture
@@ -65,9 +63,3 @@ def test_wrong_requests_are_refused(panel, make_run):
         panel.look_at(pixel=(1, 1), gaussian=3)
     with pytest.raises(ValueError, match="nothing is recorded"):
         TracePanel(Trace(make_run(n=1).mapper))
-
-
-def test_an_ellipse_lies_around_its_centre():
-    outline = ellipse_outlines(torch.tensor([[20.0, 4.0]]), torch.tensor([[0.25, 0.0, 1.0]]))[0]
-    assert outline.mean(axis=0) == pytest.approx((20.0, 4.0), abs=1e-6)
-    assert np.abs(outline - (20.0, 4.0)).max(axis=0) == pytest.approx((2.0, 1.0), abs=1e-3)

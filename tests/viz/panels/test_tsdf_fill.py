@@ -8,9 +8,7 @@ from gsfusion_nb.drawing.pictures import LABEL_PX
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.viz import tsdf_fill_panel
-from gsfusion_nb.viz.panels import tsdf_fill as filling
-from gsfusion_nb.viz.panels.tsdf_fill import camera_handles, heading_of, level_pose
-from gsfusion_nb.viz.panels.tsdf_slice import slice_pixel
+from gsfusion_nb.viz.panels.tsdf import camera_handles, heading_of, level_pose, slice_pixel
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
 SMALL = CAMERA.resized(160, 120)
@@ -60,28 +58,6 @@ def test_only_measuring_fills_the_map(panel):
     panel.press("forget")
     assert "<b>0</b> blocks" in panel.caption.value
     assert panel.picture()[-240:, -320:].mean() < 1
-
-
-def test_it_can_measure_at_every_move(panel):
-    panel.set(at_every_move=True)
-    panel.controls["heading_deg"].value = 40
-    assert 'gsnb-fill-frames">2</b>' in panel.caption.value
-
-
-def test_only_what_a_control_moves_is_drawn_again(panel, monkeypatch):
-    drawn = []
-    for name in ("slice_picture", "raycast"):
-        whole = getattr(filling, name)
-        monkeypatch.setattr(filling, name, lambda *a, whole=whole, name=name, **k: drawn.append(name) or whole(*a, **k))
-    panel.press("measure")
-    assert sorted(drawn) == ["raycast", "slice_picture"]
-    panel.set(heading_deg=20.0)
-    assert drawn[2:] == ["raycast"]
-    panel.set(height_m=1.2)
-    assert drawn[3:] == ["slice_picture"]
-    panel.press("forget")
-    assert sorted(drawn[4:]) == ["raycast", "slice_picture"]
-    assert blue(panel.picture()) == 0
 
 
 def test_it_notices_when_the_volume_is_filled_elsewhere():

@@ -7,7 +7,7 @@ import torch
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.types import Camera
-from gsfusion_nb.viz.panels.tsdf_slice import distance_colours, draw_camera, slice_legend, slice_picture
+from gsfusion_nb.viz.panels.tsdf import distance_colours, draw_camera, slice_picture
 
 VIEW = {"x_m": (0.0, 1.6), "y_m": (0.0, 0.8), "px_per_m": 100}
 
@@ -67,10 +67,3 @@ def test_the_camera_stands_where_it_is_and_looks_where_it_looks():
     assert orange[:, 1].min() >= 34  # nothing behind the camera at column 40
     assert orange[:, 1].max() == pytest.approx(120, abs=2)
     assert abs(orange[:, 0].mean() - 40) < 1.5  # the edges are symmetric about its row
-
-
-def test_legends():
-    for quantity in ("distance", "weight", "colour"):
-        legend = slice_legend(quantity, 200)
-        assert legend.shape[1] == 200
-        assert legend.min() < 200

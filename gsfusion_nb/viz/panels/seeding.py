@@ -1,0 +1,316 @@
+"""Panels about seeding: the quadtree of a picture, and where a rule places Gaussians in a frame."""
+
+import copy
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from ...drawing.page import html_table
+from ...drawing.pictures import AnyImage, Picture, paint_cells, to_uint8
+from ...gaussians import GaussianModel
+from ...geometry import project, se3
+from ...mapping import GSFusion
+from ...render import render
+from ...seeding import (
+    Cells,
+    SeedContext,
+    SeedingRule,
+    apply_rule,
+    copy_memory,
+    quadtree,
+    rule_choices,
+    rule_name,
+    rule_options,
+)
+from ...tsdf import TsdfVolume, integrate
+from ...types import Frame, Seeds
+from ..map_pictures import SEED_COLOUR, paint_points
+from .panel import Choice, Control, Drawn, Panel, Slider, Switch
+
+QUADTREE_SHOWS = ("cells", "mean colours", "Gaussians")
+"""What can be drawn."""
+CONTRASTS = ("released", "std")
+
+
+def quadtree_picture(
+    rgb: AnyImage,
+    *,
+    threshold: float | int = 0.1,
+    min_cell_px: int = 1,
+    contrast: Literal["released", "std"] = "released",
+    show: str = "cells",
+    scale: int = 1,
+) -> tuple[Picture, Cells]:
+    """The leaves of an image's quadtree drawn, and the leaves themselves.
+
+    "cells": borders over the image, coarse purple to fine yellow; "mean colours": every cell filled with its mean;
+    "Gaussians": a disc of one standard deviation (half the cell's diagonal, GSFusion III-B.2) in the colour of the
+    pixel in the middle, smaller discs over larger ones.
+
+    Args:
+        rgb: Colour, 0..1 or bytes. [H, W, 3]
+        threshold, min_cell_px, contrast: As for ``quadtree``.
+        show: What is drawn.
+        scale: Enlargement.
+
+    Raises:
+        ValueError: settings that ``quadtree`` refuses, or an unknown ``show``.
+    """
+    if show not in QUADTREE_SHOWS:
+        raise ValueError(f"show must be one of {', '.join(QUADTREE_SHOWS)}, got {show!r}")
+    photo = to_uint8(rgb)
+    cells = quadtree(torch.from_numpy(photo), threshold=float(threshold), min_cell_px=min_cell_px, contrast=contrast)
+    if show == "cells":
+        return paint_cells(photo, cells, scale=scale), cells
+    picture = cell_means(torch.from_numpy(photo), cells).numpy() if show == "mean colours" else _discs(photo, cells)
+    return picture.repeat(scale, 0).repeat(scale, 1), cells
+
+
+def cell_means(rgb_u8: UInt8[Tensor, "H W 3"], cells: Cells) -> UInt8[Tensor, "H W 3"]:
+    """The image with every cell filled by its mean colour."""
+    x0, y0, w, h = (a.long() for a in (cells.x0, cells.y0, cells.width, cells.height))
+    table = torch.nn.functional.pad(rgb_u8.long().cumsum(0).cumsum(1), (0, 0, 1, 0, 1, 0))
+    sums = table[y0 + h, x0 + w] - table[y0, x0 + w] - table[y0 + h, x0] + table[y0, x0]
+    mean = (sums.double() / (w * h)[:, None]).round().to(torch.uint8)
+    return mean[_owner(cells, rgb_u8.shape[0], rgb_u8.shape[1])]
+
+
+def _owner(cells: Cells, height: int, width: int) -> Tensor:
+    """Row of the cell that each pixel belongs to."""
+    n = len(cells)
+    x0, y0 = cells.x0.long(), cells.y0.long()
+    count = (cells.width * cells.height).long()
+    row = torch.arange(n).repeat_interleave(count)
+    nth = torch.arange(int(count.sum())) - (count.cumsum(0) - count)[row]
+    across = cells.width.long()[row]
+    owner = torch.zeros(height, width, dtype=torch.int64)
+    owner[y0[row] + nth // across, x0[row] + nth % across] = row
+    return owner
+
+
+def _discs(photo: Picture, cells: Cells) -> Picture:
+    import cv2
+
+    picture = np.zeros_like(photo)
+    centres, radii = cells.centre_uv.tolist(), cells.half_diagonal_px.tolist()
+    for k in cells.half_diagonal_px.argsort(descending=True).tolist():  # the largest first
+        (u, v), radius = centres[k], radii[k]
+        ink = photo[int(v), int(u)].tolist()  # OpenCV's pixel centres are whole numbers
+        cv2.circle(picture, (round(16 * (u - 0.5)), round(16 * (v - 0.5))), round(16 * radius), ink, -1, cv2.LINE_8, 4)
+    return picture
+
+
+def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: int = 1, scale: int = 1) -> Panel:
+    """Sliders for threshold and smallest cell over an image, with the number of leaves at each level.
+
+    Args:
+        rgb: The image. [H, W, 3]
+        threshold, min_cell_px: Where the sliders start.
+        scale: Enlargement of the picture.
+    """
+    photo = to_uint8(rgb)
+
+    def draw(*, threshold: float, min_cell_px: int, contrast: Any, show: str) -> Drawn:
+        settings = {"threshold": threshold, "min_cell_px": min_cell_px, "contrast": contrast}
+        picture, cells = quadtree_picture(photo, **settings, show=show, scale=scale)
+        return picture, _counts(cells, photo.shape[0] * photo.shape[1])
+
+    controls = {
+        "threshold": Slider(
+            value=threshold, low=0.001, high=10, step=0.02, label="threshold", log=True, readout=".3g",
+            tip="a cell is split if its contrast is above this",
+        ),
+        "min_cell_px": Slider(
+            value=min_cell_px, low=1, high=32, step=1, label="min half size, px",
+            tip="a cell is split only if half its size is above this",
+        ),
+        "contrast": Choice(value="released", options=CONTRASTS, label="contrast"),
+        "show": Choice(value="cells", options=QUADTREE_SHOWS, label="show"),
+    }  # fmt: skip
+    return Panel(draw, controls, name="quadtree", kind="png", text="quadtree panel")
+
+
+def _counts(cells: Cells, pixels: int) -> str:
+    levels = torch.bincount(cells.level.long())
+    rows = [(str(level), f"{int(n):,}") for level, n in enumerate(levels) if n]
+    count = f'<b class="gsnb-quadtree-count">{len(cells):,}</b> cells, one for every {pixels / len(cells):.0f} pixels'
+    return count + html_table(rows, heads=("level", "cells"))
+
+
+RULE_SHOWS = ("places", "new Gaussians", "map and new")
+REACH = 20.0
+"""A slider goes from default / REACH to default x REACH."""
+
+
+def rule_controls(
+    rule: str | SeedingRule, ranges: Mapping[str, tuple[float | int, float | int]] | None = None
+) -> dict[str, Control]:
+    """A control for each option of a rule, at its default.
+
+    A bool becomes a check box, a word a menu of the allowed words, an int a slider up to 4 times its default, a
+    positive float a slider from 1/20 to 20 times its default, any other float a slider from default - 1 to default + 1.
+    Paths and free texts have no control and keep their defaults.
+
+    Args:
+        rule: Name or function.
+        ranges: Option -> its smallest and largest value, where the default range does not fit; two ints give whole
+            steps.
+
+    Raises:
+        KeyError: no such rule, or ``ranges`` names no option of it.
+    """
+    options, words, ranges = rule_options(rule), rule_choices(rule), dict(ranges or {})
+    unknown = sorted(set(ranges) - set(options))
+    if unknown:
+        raise KeyError(f"rule {rule_name(rule)!r} has no options {unknown}; known: {sorted(options)}")
+    return {
+        name: _control(name, default, words.get(name, ()), ranges.get(name))
+        for name, default in options.items()
+        if name in words or isinstance(default, bool | int | float)
+    }
+
+
+def _control(name: str, default: Any, words: Sequence[str], limits: tuple[float | int, float | int] | None) -> Control:
+    if isinstance(default, bool):
+        return Switch(value=default, label=name)
+    if isinstance(default, str):
+        return Choice(value=default, options=words, label=name)
+    if limits and all(isinstance(limit, int) for limit in limits) and not isinstance(default, int):
+        return Slider(value=default, low=limits[0], high=limits[1], step=1.0, label=name, readout=".3g")
+    if isinstance(default, int):
+        low, high = limits or (min(default, 1), max(4, 4 * default))
+        return Slider(value=default, low=int(low), high=int(high), step=1, label=name)
+    if default > 0:
+        low, high = limits or (default / REACH, default * REACH)
+        if low > 0:
+            return Slider(value=default, low=low, high=high, step=0.02, label=name, log=True, readout=".3g")
+        return Slider(value=default, low=low, high=high, step=(high - low) / 100, label=name, readout=".3g")
+    low, high = limits or (default - 1, default + 1)
+    return Slider(value=default, low=low, high=high, step=(high - low) / 100, label=name, readout=".3g")
+
+
+def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
+    """What a rule would see if ``mapper`` mapped ``frame`` next; the mapper is not changed.
+
+    The volume is copied and the frame is fused into the copy: a rule sees the volume with the new frame in it.
+    """
+    volume = TsdfVolume(mapper.config.tsdf, device=mapper.device)
+    volume.load_state_dict(copy.deepcopy(mapper.volume.state_dict()))
+    integrate(volume, frame)
+    return dataclasses.replace(
+        mapper.seed_context(frame),
+        volume=volume,
+        gaussians=GaussianModel.from_state_dict(copy.deepcopy(mapper.gaussians.state_dict())),
+        generator=torch.Generator().manual_seed(0),
+        memory=copy_memory(mapper.memory),
+    )
+
+
+def rule_picture(
+    rule: str | SeedingRule,
+    ctx: SeedContext,
+    options: Mapping[str, Any] | None = None,
+    *,
+    show: str = "places",
+    scale: int = 1,
+) -> tuple[Picture, Seeds]:
+    """The seeds that a rule proposes for a frame, drawn, and the seeds themselves.
+
+    "places": red dots over the darkened photograph; "new Gaussians": the seeds alone, rendered; "map and new": the
+    seeds rendered together with the map of the context, which is where the optimisation starts.
+
+    Args:
+        rule: Name or function.
+        ctx: The frame, and what was mapped before. Its generator is seeded with 0 first, and its memory is restored
+            afterwards, so the picture repeats.
+        options: Keyword arguments for the rule.
+        show: What is drawn, one of ``RULE_SHOWS``.
+        scale: Enlargement.
+
+    Raises:
+        ValueError: unknown ``show``; also whatever the rule raises.
+    """
+    if show not in RULE_SHOWS:
+        raise ValueError(f"show must be one of {', '.join(RULE_SHOWS)}, got {show!r}")
+    ctx.generator.manual_seed(0)
+    memory = copy_memory(ctx.memory)
+    try:
+        seeds = apply_rule(rule, ctx, options)
+    finally:
+        ctx.memory.clear()
+        ctx.memory.update(memory)
+    if show == "places":
+        picture = _with_dots(
+            (to_uint8(ctx.frame.colour).repeat(scale, 0).repeat(scale, 1) * 0.5), ctx.frame, seeds, scale
+        )
+    else:
+        picture = _rendered(ctx, seeds, with_map=show == "map and new").repeat(scale, 0).repeat(scale, 1)
+    return picture, seeds
+
+
+def rule_panel(
+    rule: str | SeedingRule,
+    contexts: SeedContext | Mapping[str, SeedContext],
+    *,
+    ranges: Mapping[str, tuple[float | int, float | int]] | None = None,
+    scale: int = 1,
+) -> Panel:
+    """Controls for a rule's options, and the seeds that it proposes for a frame.
+
+    Args:
+        rule: Name or function.
+        contexts: A context from ``rule_context``, or several by name to choose from.
+        ranges: As for ``rule_controls``.
+        scale: Enlargement of the picture.
+    """
+    scenes = {"frame": contexts} if isinstance(contexts, SeedContext) else dict(contexts)
+    own = rule_controls(rule, ranges)
+    extra: dict[str, Control] = {"show": Choice(value=RULE_SHOWS[0], options=RULE_SHOWS, label="show")}
+    if len(scenes) > 1:
+        extra = {"scene": Choice(value=next(iter(scenes)), options=list(scenes), label="scene"), **extra}
+    taken = sorted(set(own) & {"scene", "show"})
+    if taken:
+        raise ValueError(f"rule {rule_name(rule)!r} has an option named {taken[0]!r}, which the panel needs itself")
+
+    def draw(**values: Any) -> Drawn:
+        ctx = scenes[values.pop("scene", next(iter(scenes)))]
+        picture, seeds = rule_picture(rule, ctx, values, show=values.pop("show"), scale=scale)
+        pixels = int(ctx.has_depth().sum())
+        each = f", one for every {pixels / len(seeds):.0f} pixels with depth" if len(seeds) else ""
+        sizes = f"<br>{_sizes(seeds)}" if len(seeds) else ""
+        return picture, f'<b class="gsnb-rule-count">{len(seeds):,}</b> new Gaussians{each}{sizes}'
+
+    return Panel(draw, {**own, **extra}, name="rule", text=f"seeds of rule {rule_name(rule)!r}")
+
+
+def _sizes(seeds: Seeds) -> str:
+    size_cm = 100 * seeds.scale_m.amax(dim=1)
+    low, mid, high = size_cm.quantile(torch.tensor([0.1, 0.5, 0.9]).to(size_cm)).tolist()
+    return f"standard deviation: median {mid:.2g} cm, 80 % between {low:.2g} and {high:.2g} cm"
+
+
+def _with_dots(picture: np.ndarray, frame: Frame, seeds: Seeds, scale: int) -> Picture:
+    image = picture.astype(np.uint8)
+    xyz_C = se3.apply(se3.inverse(frame.T_WC), seeds.xyz_W)
+    paint_points(image, project(frame.camera, xyz_C[xyz_C[:, 2] > 0]) * scale - 1, SEED_COLOUR)
+    return image
+
+
+def _rendered(ctx: SeedContext, seeds: Seeds, *, with_map: bool) -> Picture:
+    model = GaussianModel(sh_degree=0)
+    if with_map and ctx.gaussians is not None and len(ctx.map):
+        known = ctx.map
+        old = Seeds(
+            xyz_W=known.xyz_W, rgb=ctx.gaussians.rgb.clamp(0, 1), scale_m=known.scale_m, quat=known.quat,
+            opacity=known.opacity.clamp(1e-4, 1 - 1e-4), tag=torch.zeros(len(known), dtype=torch.int32),
+        )  # fmt: skip
+        model.append(old)
+    model.append(dataclasses.replace(seeds, tag=seeds.tag.to(torch.int32)))
+    if len(model) == 0:
+        return np.zeros((ctx.camera.height, ctx.camera.width, 3), np.uint8)
+    return to_uint8(render(model.params, ctx.camera, ctx.frame.T_WC).rgb)

@@ -1,0 +1,289 @@
+"""Panels about a TSDF volume: a plane through it as a picture, and a camera that fills it."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...drawing.pictures import CARD, CARD_INK, LABEL_PX, Picture, side_by_side, to_uint8
+from ...tsdf import TsdfVolume, integrate, raycast
+from ...types import Camera, Frame
+from ..display import Stroke
+from ..map_pictures import palette
+from .panel import Choice, Drawn, Panel, Point, Slider, Switch, draw_handles, nearest_handle
+
+QUANTITIES = ("distance", "weight", "colour")
+"""What a slice can show."""
+X_M, Y_M, PX_PER_M = (-2.6, 2.6), (-2.1, 2.1), 60
+"""Usual extent of a slice, metres, and its scale, pixels per metre."""
+
+_BEHIND, _ZERO, _FREE = (178, 34, 52), (255, 255, 255), (44, 98, 168)
+_UNSEEN = (58, 78)
+"""Grey levels of the stripes where no voxel was observed."""
+LEGEND_PX = 30
+"""Height of the colour bar below a slice."""
+_CAMERA = (255, 140, 0)
+
+
+def slice_picture(
+    volume: TsdfVolume,
+    *,
+    height_m: float | int = 1.0,
+    x_m: tuple[float, float] = X_M,
+    y_m: tuple[float, float] = Y_M,
+    px_per_m: float | int = PX_PER_M,
+    quantity: str = "distance",
+    max_weight: float | int = 20,
+) -> Picture:
+    """The horizontal plane z = ``height_m`` from above, x to the right and y up.
+
+    "distance": D from red (-1, behind a surface) over white (0, on it) to blue (+1, free); "weight": the observation
+    count from dark (1) to bright (``max_weight`` and more); "colour": the mean colour. Voxels never observed, and where
+    there are none, are striped grey. Each pixel shows the voxel that contains it, without interpolation.
+
+    Args:
+        volume: The map.
+        height_m: Height of the plane, metres.
+        x_m, y_m: Extent, metres.
+        px_per_m: Scale, pixels per metre.
+        quantity: What is shown.
+        max_weight: Weight at the brightest colour.
+
+    Raises:
+        ValueError: unknown quantity.
+    """
+    if quantity not in QUANTITIES:
+        raise ValueError(f"quantity must be one of {', '.join(QUANTITIES)}, got {quantity!r}")
+    width, height = (max(1, round((b - a) * px_per_m)) for a, b in (x_m, y_m))
+    x = x_m[0] + (torch.arange(width) + 0.5) / px_per_m
+    y = y_m[1] - (torch.arange(height) + 0.5) / px_per_m
+    xy = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1).view(-1, 2)
+    points = torch.cat([xy, torch.full_like(xy[:, :1], float(height_m))], dim=1)
+    sample = volume.sample_nearest(points.to(volume.device))
+    D, W = (a.cpu().numpy().reshape(height, width) for a in (sample.D, sample.W))
+    if quantity == "distance":
+        image = distance_colours(D)
+    elif quantity == "weight":
+        image = _weight_colours(W, max_weight)
+    else:
+        image = to_uint8(sample.rgb.view(height, width, 3))
+    stripes = (np.add.outer(np.arange(height), np.arange(width)) // 4) % 2
+    return np.where((W > 0)[..., None], image, np.where(stripes, *_UNSEEN)[..., None]).astype(np.uint8)
+
+
+def distance_colours(D: Float[np.ndarray, "H W"] | Float[Tensor, "H W"]) -> Picture:
+    """Truncated signed distance as colour: red -1, white 0, blue +1."""
+    d = np.clip(np.asarray(D, dtype=np.float32), -1, 1)[..., None]
+    behind, zero, free = (np.array(c, np.float32) for c in (_BEHIND, _ZERO, _FREE))
+    colour = np.where(d < 0, zero + (zero - behind) * d, zero + (free - zero) * d)
+    return (colour + 0.5).astype(np.uint8)
+
+
+def draw_camera(
+    picture: Picture,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    x_m: tuple[float, float] = X_M,
+    y_m: tuple[float, float] = Y_M,
+    px_per_m: float | int = PX_PER_M,
+    reach_m: float | int = 1.2,
+) -> Picture:
+    """A copy of a slice with the camera on it: a dot, and the left and the right edge of what it sees."""
+    import cv2
+
+    T = T_WC.detach().cpu().double().numpy()
+    edges = [np.array([(u - camera.cx) / camera.fx, 0.0, 1.0]) * reach_m for u in (0.0, float(camera.width))]
+    corners = [T[:3, 3], *(T[:3, :3] @ e + T[:3, 3] for e in edges)]
+    at = [(round((c[0] - x_m[0]) * px_per_m * 16), round((y_m[1] - c[1]) * px_per_m * 16)) for c in corners]
+    image = picture.copy()
+    for ink, thickness in (((30, 30, 30), 4), (_CAMERA, 2)):
+        cv2.line(image, at[0], at[1], ink, thickness, cv2.LINE_AA, 4)
+        cv2.line(image, at[0], at[2], ink, thickness, cv2.LINE_AA, 4)
+        cv2.circle(image, at[0], (3 + thickness) * 16, ink, -1, cv2.LINE_AA, 4)
+    return image
+
+
+def slice_pixel(x_m: float | int, y_m: float | int) -> tuple[float, float]:
+    """(u, v) of a point of the world in a slice of the usual extent and scale, pixels."""
+    return (x_m - X_M[0]) * PX_PER_M, (Y_M[1] - y_m) * PX_PER_M
+
+
+def slice_place(u: float | int, v: float | int) -> tuple[float, float]:
+    """The world's (x, y), metres, at a pixel of such a slice."""
+    return X_M[0] + u / PX_PER_M, Y_M[1] - v / PX_PER_M
+
+
+def slice_legend(quantity: str, width: int, *, max_weight: float | int = 20) -> Picture:
+    """The colour bar of a slice, ``width`` pixels wide."""
+    image = np.full((LEGEND_PX, width, 3), CARD, np.uint8)
+    left, right = 74, width - 74
+    ramp = np.linspace(-1, 1, max(right - left, 2), dtype=np.float32)[None].repeat(10, 0)
+    words = ("behind -1", "free +1")
+    bar = distance_colours(ramp)
+    if quantity == "weight":
+        bar, words = _weight_colours((ramp + 1) / 2 * max_weight, max_weight), ("W = 0", f"{max_weight:g} or more")
+    elif quantity == "colour":
+        words = ("mean colour", "")
+    if quantity != "colour":
+        image[8:18, left : left + bar.shape[1]] = bar
+        image[7:19, (left + right) // 2] = 120 if quantity == "distance" else image[7:19, (left + right) // 2]
+    _write(image, words, (4, right + 6))
+    return image
+
+
+def _write(image: Picture, words: Sequence[str], x: tuple[int, int]) -> None:
+    import cv2
+
+    for text, at in zip(words, x, strict=True):
+        cv2.putText(image, text, (at, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.36, CARD_INK, 1, cv2.LINE_AA)
+
+
+def _weight_colours(W: np.ndarray, max_weight: float | int) -> Picture:
+    return palette("viridis")[(np.clip(W / max_weight, 0, 1) * 255 + 0.5).astype(int)]
+
+
+DepthSensor = Callable[[Float[Tensor, "4 4"]], Frame]
+"""Takes a frame at a camera-to-world pose."""
+ARM_M = 0.9
+"""Distance from the camera in the slice to the handle that turns it, metres."""
+
+
+def level_pose(
+    x_m: float | int, y_m: float | int, height_m: float | int, heading_deg: float | int, tilt_deg: float | int = 0.0
+) -> Float[Tensor, "4 4"]:
+    """T_WC of an upright camera in a world whose z points up.
+
+    Args:
+        x_m, y_m, height_m: Where it stands, metres.
+        heading_deg: Where it looks, counter-clockwise from the world's x axis, degrees.
+        tilt_deg: Angle above the horizontal, degrees.
+    """
+    h, t = math.radians(heading_deg), math.radians(tilt_deg)
+    forward = [math.cos(h) * math.cos(t), math.sin(h) * math.cos(t), math.sin(t)]
+    right = [math.sin(h), -math.cos(h), 0.0]
+    down = np.cross(forward, right).tolist()
+    T = torch.eye(4, dtype=torch.float64)
+    T[:3, :3] = torch.tensor([right, down, forward], dtype=torch.float64).T
+    T[:3, 3] = torch.tensor([x_m, y_m, height_m], dtype=torch.float64)
+    return T.float()
+
+
+def shape_picture(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Picture:
+    """The surface in the volume under a lamp at the camera; black where none has been measured."""
+    surface = raycast(volume, camera, T_WC)
+    lamp = -(surface.normal_W @ T_WC[:3, 2]).clamp(-1, 0)
+    return to_uint8(lamp[..., None].expand(-1, -1, 3))
+
+
+def _joined(
+    flat: Picture, view: Picture, camera: Camera, T_WC: Tensor, height_m: float | int, quantity: str
+) -> Picture:
+    x, y = T_WC[:2, 3].tolist()
+    seen = draw_handles(draw_camera(flat, camera, T_WC), camera_handles(x, y, heading_of(T_WC)))
+    left = np.concatenate([seen, slice_legend(quantity, flat.shape[1])])
+    title = f"{quantity}, slice at z = {height_m:.2f} m"
+    return side_by_side([left, view], [title, "the map, seen from the camera"])
+
+
+def heading_of(T_WC: Float[Tensor, "4 4"]) -> float:
+    """Where a camera looks, counter-clockwise from the world's x axis, degrees."""
+    return math.degrees(math.atan2(float(T_WC[1, 2]), float(T_WC[0, 2])))
+
+
+def camera_handles(x_m: float, y_m: float, heading_deg: float) -> dict[str, Point]:
+    """In a slice, pixels: the handle that moves the camera, and the one in front of it that turns it."""
+    h = math.radians(heading_deg)
+    ahead = (x_m + ARM_M * math.cos(h), y_m + ARM_M * math.sin(h))
+    return {"place": slice_pixel(x_m, y_m), "heading": slice_pixel(*ahead)}
+
+
+def touch_camera(stroke: Stroke, values: dict[str, Any], camera: Camera) -> dict[str, float]:
+    """What a drag over the panel's picture changes: a handle in the slice, or the direction of view in the view."""
+    du, dv = stroke.moved
+    width, height = slice_pixel(X_M[1], Y_M[0])
+    if stroke.start[0] >= width:  # the scene in the view, which is as high as slice and legend, follows the pointer
+        turn = math.degrees(camera.height / (height + LEGEND_PX) / camera.fx)
+        heading = wrapped_deg(values["heading_deg"] + du * turn)
+        return {"heading_deg": heading, "tilt_deg": values["tilt_deg"] + dv * turn}
+    handles = camera_handles(values["x_m"], values["y_m"], values["heading_deg"])
+    held = nearest_handle(handles, (stroke.start[0], stroke.start[1] - LABEL_PX))
+    if held is None:
+        return {}
+    x, y = slice_place(handles[held][0] + du, handles[held][1] + dv)
+    if held == "place":
+        return {"x_m": x, "y_m": y}
+    return {"heading_deg": math.degrees(math.atan2(y - values["y_m"], x - values["x_m"]))}
+
+
+def wrapped_deg(angle_deg: float) -> float:
+    """The same angle in -180..180 degrees."""
+    return (angle_deg + 180.0) % 360.0 - 180.0
+
+
+def tsdf_fill_panel(
+    volume: TsdfVolume, camera: Camera, sensor: DepthSensor, *, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Panel:
+    """Move a camera, press *measure*, and see the volume fill. Moving alone does not change the map.
+
+    Drag the camera in the slice, the handle in front of it to turn it, or the view to look around; or use the sliders.
+
+    Args:
+        volume: Filled in place; *forget* empties it.
+        camera: Of the preview.
+        sensor: Takes a frame at a pose; ``integrate`` fuses it.
+        start: x, y in metres, and heading in degrees.
+    """
+    fused = [0]
+
+    def measured(T_WC: Tensor) -> None:
+        integrate(volume, sensor(T_WC))
+        fused[0] += 1
+
+    def pose(values: dict[str, Any]) -> Float[Tensor, "4 4"]:
+        return level_pose(values["x_m"], values["y_m"], 1.3, values["heading_deg"], values["tilt_deg"])
+
+    def measure() -> None:
+        measured(pose(panel.values))
+
+    def forget() -> None:
+        volume.load_state_dict(TsdfVolume(volume.config, volume.device).state_dict())
+        fused[0] = 0
+
+    def draw(*, height_m: float, quantity: str, at_every_move: bool, **where: float) -> Drawn:
+        if at_every_move:
+            measured(pose(where))
+        flat, view = (
+            slice_picture(volume, height_m=height_m, quantity=quantity),
+            shape_picture(volume, camera, pose(where)),
+        )
+        picture = _joined(flat, view, camera, pose(where), height_m, quantity)
+        text = (
+            f'<b class="gsnb-fill-frames">{fused[0]}</b> measurements, <b>{volume.n_blocks:,}</b> blocks of 8&sup3; '
+            f"voxels, {int((volume.W > 0).sum()):,} voxels observed"
+        )
+        return picture, text
+
+    def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, float]:
+        return touch_camera(stroke, values, camera)
+
+    buttons = {"measure": measure, "forget": forget}
+    text = "A slice of a TSDF volume with the camera in it, and what the camera sees of the map"
+    panel = Panel(draw, _controls(*start), buttons=buttons, name="fill", kind="png", text=text, touch=touch)
+    return panel
+
+
+def _controls(x_m: float, y_m: float, turn_deg: float) -> dict[str, Slider | Choice | Switch]:
+    return {
+        "x_m": Slider(value=float(x_m), low=-2.2, high=2.2, step=0.05, label="x, m"),
+        "y_m": Slider(value=float(y_m), low=-1.7, high=1.7, step=0.05, label="y, m"),
+        "heading_deg": Slider(value=float(turn_deg), low=-180, high=180, step=1.0, label="heading, °", readout=".0f"),
+        "tilt_deg": Slider(value=0.0, low=-60, high=60, step=1.0, label="tilt, °", readout=".0f"),
+        "height_m": Slider(value=1.0, low=0.0, high=2.6, step=0.02, label="slice at z, m"),
+        "quantity": Choice(value="distance", options=QUANTITIES, label="show"),
+        "at_every_move": Switch(value=False, label="measure at every move"),
+    }

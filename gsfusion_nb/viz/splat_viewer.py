@@ -1,0 +1,363 @@
+"""The splat viewer: a Gaussian map in a notebook cell, turned with the mouse, coloured by a chosen quantity.
+
+The browser draws (``static/``): with WebGL2 where there is a graphics card, else with a rasteriser in a worker.
+Rows are sent as binary messages and are not part of the widget's state, so a saved notebook does not hold the map.
+"""
+
+import base64
+import logging
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import nullcontext
+from typing import Any
+
+import anywidget
+import numpy as np
+import torch
+import traitlets as t
+from jaxtyping import Float
+from torch import Tensor
+
+from ..checks import check_name, check_pose
+from ..constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
+from ..drawing.pictures import Picture, encode_png, to_uint8
+from ..geometry.upright import world_up
+from ..types import Camera, GaussianParams, RenderOutput
+from .display import front_end, source, static_views, synced
+from .map_pictures import PALETTES, Paint, depth_picture, map_picture, palette
+from .splat_rows import (
+    Column,
+    GaussianRecord,
+    columns_of,
+    finite_rows,
+    gaussian_record,
+    layout_for,
+    pack_rows,
+    packet_between,
+    stacked,
+    with_surface,
+)
+from .viewpoint import Vector, places_of, viewing_camera
+
+log = logging.getLogger(__name__)
+
+ENGINE = ("splats/rows", "projection", "splats/colour", "splats/raster", "splats/engine")
+"""JavaScript modules of the worker."""
+PAGE = ("lost", "camera", "splats/webgl", "splats/worker", "splats/panel", "mouse", "splats/time", "splats/widget")
+"""JavaScript modules of the page."""
+MIN_INTERVAL_S = 0.2
+"""Shortest time between two updates of a growing map."""
+SOFTWARE_ROWS = 150_000
+"""The software rasteriser draws at most this many rows, the most important; with more it would react too slowly."""
+PICK_ALPHA = 0.25
+"""A click picks the front-most Gaussian whose alpha at the pixel is at least this."""
+
+_RULES = {
+    "near_m": NEAR_PLANE_M,
+    "blur_px2": SCREEN_BLUR_PX2,
+    "clamp": FRUSTUM_CLAMP,
+    "alpha_min": ALPHA_MIN,
+    "alpha_max": ALPHA_MAX,
+    "transmittance_min": TRANSMITTANCE_MIN,
+    "pick_alpha": PICK_ALPHA,
+    "software_rows": SOFTWARE_ROWS,
+}
+
+
+class SplatViewer(anywidget.AnyWidget):
+    """Look at a Gaussian map from every side; the last line of a cell shows it.
+
+    Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to reset, click to
+    pick: the row's numbers appear in the viewer, ``viewer.picked`` is its number, ``viewer.picked_row()`` its values,
+    ``viewer.observe(f, "picked")`` calls ``f`` at each pick. The viewer is as wide as the cell, at most twice its
+    canvas. ``look_from("above")`` and the buttons go to other places. With ``static_views()`` only a picture by the
+    library's renderer is shown. A map of GPS-SLAM is shown with its surface as discs, in rows behind those of the map;
+    colour by "surface" tells them apart.
+
+    Args:
+        source: A mapper (which also knows its cameras), a model, or bare parameters.
+        camera: Intrinsics of the view; the mapper's own by default.
+        T_WC: Camera-to-world pose to start from; the mapper's first keyframe by default, else above the map.
+        width, height: Of the canvas, pixels.
+        extras: Numbers to colour by: name -> one per Gaussian. [N] each
+        up_W: The world's up direction; by default the mean of the known cameras' -y axes.
+        lock: Held while reading the map, if another thread changes it (``LiveMapper.lock``).
+        colour_by: "rgb", "depth" (from the camera), "opacity", "birth_frame", "tag" (seed level), "state",
+            "contribution" or another extra, where given.
+
+    Raises:
+        TypeError: ``source`` is not a map. ValueError: an extra does not fit the map, or the pose is not rigid.
+    """
+
+    _esm = front_end(
+        ENGINE,
+        PAGE,
+        "ENGINE_SOURCE",
+        {"PANEL_HTML": "splats/viewer.html", "VERTEX": "splats/splat.vert", "FRAGMENT": "splats/splat.frag"},
+    )
+    _css = source("splats/viewer.css")
+
+    width = synced(t.Int())
+    height = synced(t.Int())
+    intrinsics = synced(t.List(t.Float()))
+    pose = synced(t.List(t.Float()))
+    pivot_m = synced(t.Float())
+    places = synced(t.Dict())
+    cut_m = synced(t.Float(0.0, min=0.0))
+    """Everything nearer than this is hidden, metres: opens a closed room."""
+    reach_m = synced(t.Float(1.0))
+    up_W = synced(t.List(t.Float()))
+    rules = synced(t.Dict(_RULES))
+    palettes = synced(t.Dict())
+    columns = synced(t.List(t.Dict()))
+    birth_range = synced(t.List(t.Float()))
+    notice = synced(t.Unicode())
+    colour_by = synced(t.Unicode("rgb"))
+    size = synced(t.Float(1.0, min=0.01))
+    opacity = synced(t.Float(1.0, min=0.0))
+    points = synced(t.Bool(False))
+    background = synced(t.Unicode("#000000"))
+    born_until = synced(t.Float(None, allow_none=True))
+    picked = synced(t.Int(None, allow_none=True))
+    record = synced(t.List(t.List(t.Unicode())))
+    renderer = synced(t.Enum(("auto", "software", "webgl"), "auto"))
+    renderer_used = synced(t.Unicode(""))
+    gpu = synced(t.Unicode(""))
+    stats = synced(t.Dict())
+
+    def __init__(
+        self,
+        source: Any,
+        *,
+        camera: Camera | None = None,
+        T_WC: Float[Tensor, "4 4"] | None = None,
+        width: int | None = None,
+        height: int | None = None,
+        extras: Mapping[str, Any] | None = None,
+        up_W: Vector | None = None,
+        lock: Any = None,
+        colour_by: str = "rgb",
+    ):
+        self._source, self._extras, self._lock = source, dict(extras or {}), lock or nullcontext()
+        keyframes = list(getattr(source, "keyframes", ()))
+        poses = [k.T_WC for k in keyframes] or ([] if T_WC is None else [T_WC])
+        up = torch.as_tensor(world_up(poses) if up_W is None else up_W).float()
+        self.camera = viewing_camera(camera or (keyframes[0].camera if keyframes else None), width, height)
+        self._sending = threading.RLock()
+        self._sent: np.ndarray | None = None
+        self._listening, self._displayed = False, False
+        self._timer: threading.Timer | None = None
+        self._last_sent_s = -1e9
+        with self._lock:
+            self._read()
+            start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
+            places = places_of(self._params[finite_rows(self._params)], self.camera, start, up)
+        first = places["photo"].T_WC.flatten().tolist()
+        c = self.camera
+        super().__init__(
+            width=c.width, height=c.height, intrinsics=[c.fx, c.fy, c.cx, c.cy], up_W=(up / up.norm()).tolist(),
+            pose=first, pivot_m=places["photo"].pivot_m, reach_m=1.5 * places["above"].pivot_m,
+            places={name: [p.T_WC.flatten().tolist(), p.pivot_m, p.cut_m] for name, p in places.items()},
+            palettes={name: palette(name).tobytes().hex() for name in PALETTES},
+            colour_by=colour_by,
+        )  # fmt: skip
+        self._describe()
+        self.observe(lambda _change: self._show_record(), "picked")
+        self.on_msg(self._heard)
+
+    @property
+    def T_WC(self) -> Float[Tensor, "4 4"]:
+        """The camera's present pose; assign a pose to move it."""
+        return torch.tensor(self.pose).view(4, 4)
+
+    @T_WC.setter
+    def T_WC(self, T_WC: Float[Tensor, "4 4"]) -> None:
+        check_pose("T_WC", T_WC)
+        self.pose = T_WC.flatten().tolist()
+
+    def look_from(self, place: str) -> "SplatViewer":
+        """Move the camera to "photo", where it was at first, "above" the map, without the roof, or "inside" it."""
+        check_name("place", place, tuple(self.places))
+        with self.hold_sync():
+            self.pose, self.pivot_m, self.cut_m = self.places[place]
+        return self
+
+    def update(self, source: Any = None, *, extras: Mapping[str, Any] | None = None) -> None:
+        """Show the map as it is now, or another one. Only changed rows are sent, at most five times a second.
+
+        After a call that comes too soon, the state of the map is sent a little later.
+
+        Args:
+            source: The map; the one shown so far by default.
+            extras: New numbers to colour by; by default the old ones, which must still fit the map.
+
+        Raises:
+            TypeError, ValueError: as when the viewer was made.
+        """
+        self._source = self._source if source is None else source
+        self._extras = self._extras if extras is None else dict(extras)
+        wait_s = self._last_sent_s + MIN_INTERVAL_S - time.monotonic()
+        with self._lock, self._sending:
+            self._read()
+            if wait_s <= 0:
+                self._refresh()
+            elif self._timer is None:
+                self._timer = threading.Timer(wait_s, self._refresh_late)
+                self._timer.daemon = True
+                self._timer.start()
+
+    def picked_row(self) -> GaussianRecord | None:
+        """All numbers of the picked Gaussian; ``None`` if none is picked, or it was removed."""
+        with self._lock:
+            if self.picked is None or self.picked >= len(self._params):
+                return None
+            return gaussian_record(self._params, self._columns, self.picked)
+
+    def shown(self) -> tuple[GaussianParams, Float[np.ndarray, "N C"]]:
+        """The rows that are shown, and the columns that they can be coloured by."""
+        with self._lock:
+            return self._params, stacked(self._columns, len(self._params))
+
+    def _show_record(self) -> None:
+        """Names and values of the picked row, which the browser shows in the picture."""
+        row = self.picked_row()
+        self.record = [] if row is None else [list(line) for line in row.lines()]
+
+    def picture(self) -> Picture:
+        """What the viewer shows, drawn by the library's renderer (in point mode: as ellipses)."""
+        with self._lock:
+            if (view := self._surface_view()) is not None:
+                return depth_picture(view) if self.colour_by == "depth" else to_uint8(view.rgb)
+            rows, T_WC = finite_rows(self._params), self.T_WC
+            if self.cut_m > 0:
+                to_W = T_WC.to(self._params.xyz_W)
+                rows &= (self._params.xyz_W - to_W[:3, 3]) @ to_W[:3, 2] > self.cut_m
+            by_name = {c.name: c for c in self._columns}
+            if self.born_until is not None and "birth_frame" in by_name:
+                rows &= torch.from_numpy(by_name["birth_frame"].values <= self.born_until).to(rows.device)
+            background = torch.tensor([int(self.background[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+            return map_picture(
+                self._params[rows], self.camera, T_WC, paint=self._paint(by_name.get(self.colour_by), rows),
+                depth=self.colour_by == "depth", size=self.size, opacity=self.opacity, background=background,
+            )  # fmt: skip
+
+    def _paint(self, column: Column | None, rows: Tensor) -> Paint | None:
+        if column is not None:
+            values = torch.from_numpy(np.nan_to_num(column.values))[rows.cpu()]
+            return Paint(values=values, low=column.limits[0], high=column.limits[1], palette=column.palette)
+        if self.colour_by == "opacity":
+            return Paint(values=self._params.opacity_logit[rows].sigmoid(), low=0.0, high=1.0)
+        return None
+
+    def _surface_view(self) -> RenderOutput | None:
+        """The whole picture of a mapper that draws over its surface, as long as the viewer changes nothing in it."""
+        changed = self.cut_m > 0 or self.born_until is not None or self.size != 1 or self.opacity != 1
+        if changed or self.colour_by not in ("rgb", "depth") or not _draws_surface(self._source):
+            return None
+        return self._source.render(self.camera, self.T_WC)
+
+    def __repr__(self) -> str:
+        return f"SplatViewer({len(self._params):,} Gaussians, {self.width}x{self.height})"
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
+        picture = {
+            "image/png": base64.b64encode(encode_png(self.picture(), 9)).decode("ascii"),
+            "text/plain": repr(self),
+        }
+        shown = "in their colours" if self.colour_by == "rgb" else f"coloured by {self.colour_by}"
+        words = {"image/png": {"alt": f"A map of {len(self._params):,} Gaussians, {shown}"}}
+        if static_views():
+            return picture, words
+        self._displayed = True
+        live: Any = super()._repr_mimebundle_(**kwargs)
+        data, metadata = live if isinstance(live, tuple) else (live or {}, {})
+        return {**data, **picture}, {**metadata, **words}
+
+    @t.validate("background")
+    def _check_background(self, proposal: Any) -> str:
+        colour = proposal["value"]
+        if len(colour) != 7 or colour[0] != "#" or any(c not in "0123456789abcdefABCDEF" for c in colour[1:]):
+            raise t.TraitError(f'background must be a colour like "#202830", got {colour!r}')
+        return colour
+
+    @t.validate("colour_by")
+    def _check_colour_by(self, proposal: Any) -> str:
+        check_name("colour_by", proposal["value"], ("rgb", "depth", "opacity", *(c.name for c in self._columns)))
+        return proposal["value"]
+
+    def _read(self) -> None:
+        """Read parameters and columns from the source."""
+        held = getattr(self._source, "gaussians", self._source)
+        params = held if isinstance(held, GaussianParams) else getattr(held, "params", None)
+        if not isinstance(params, GaussianParams):
+            kind = type(self._source).__name__
+            raise TypeError(f"SplatViewer needs a mapper, a GaussianModel or GaussianParams, got {kind}")
+        columns, n = columns_of(held, len(params), self._extras), len(params)
+        if _draws_surface(self._source):  # the surface as discs, behind the map's own rows
+            params = self._source.standard_gaussians()
+            columns = with_surface(columns, n, len(params))
+        self._params, self._columns = params, columns
+
+    def _describe(self) -> None:
+        """Send the front end the columns, and a warning if the map has invalid rows."""
+        with self.hold_sync():
+            self.columns = [c.described() for c in self._columns]
+            frames = [c for c in self._columns if c.kind == "frame" and len(c.values)]
+            self.birth_range = list(frames[0].limits) if frames else []
+            bad = len(self._params) - int(finite_rows(self._params).sum())
+            notice = f"{bad:,} of the rows hold NaN or infinite numbers and are not drawn" if bad else ""
+            if notice and notice != self.notice:
+                log.warning("SplatViewer: %s", notice)
+            self.notice = notice
+
+    def _refresh(self) -> None:
+        with self._lock, self._sending:  # always in this order: a caller of `update` may hold the first already
+            self._timer = None
+            self._read()
+            records = self._packed()
+            self._describe()
+            self._last_sent_s = time.monotonic()
+            self._send_rows(records)
+            self._show_record()
+
+    def _refresh_late(self) -> None:
+        """Called in the timer's thread, where errors would not be shown."""
+        try:
+            self._refresh()
+        except ValueError as e:
+            self.notice = str(e)
+
+    def _packed(self) -> np.ndarray:
+        return pack_rows(
+            self._params, stacked(self._columns, len(self._params)), layout_for(self._params, len(self._columns))
+        )
+
+    def _send_rows(self, records: np.ndarray) -> None:
+        """Send the rows that the front end does not have; all rows if it has not answered (a cell may be running)."""
+        if not (self._listening or self._displayed):
+            return
+        packet = packet_between(self._sent if self._listening else None, records)
+        self._sent = records
+        if packet is None:
+            return
+        layout = layout_for(self._params, len(self._columns))
+        head = {
+            "n": packet.n, "stride": layout.stride, "columns": layout.columns, "harmonics": layout.harmonics,
+            "all": packet.index is None,
+        }  # fmt: skip
+        arrays = [packet.records] if packet.index is None else [packet.index, packet.records]
+        buffers = [a.tobytes() for a in arrays]
+        self.send({"kind": "rows", "head": head}, buffers)
+
+    def _heard(self, _widget: Any, content: Any, _buffers: Any) -> None:
+        """The front end has opened, or has missed a message."""
+        if content.get("kind") == "ready":
+            with self._lock, self._sending:
+                self._listening, self._sent = True, None
+                self._refresh()
+
+
+def _draws_surface(source: Any) -> bool:
+    """Whether a mapper's pictures are more than its Gaussians."""
+    return getattr(source, "needs_volume_to_render", False)

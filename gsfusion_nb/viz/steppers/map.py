@@ -1,0 +1,323 @@
+"""Steppers through the growing map: the quadtree that places Gaussians, and Adam on rows that join later."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import torch
+
+from ...config import OptimConfig
+from ...drawing.curves import BETWEEN, PALETTE
+from ...drawing.pictures import AnyImage, Picture, to_uint8
+from ...gaussians import GaussianModel
+from ...optim import adam_step
+from ...optim.adam import adam_update
+from ...seeding import quadtree
+from ...types import GaussianParams, Seeds
+from .recording import RETURNED, Line, Recording, record
+from .stepper import Step, Stepper, style, text_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RELEASED, STD = "V * (H * W) / QUADTREE_NORMALISER", "V**0.5 / 255"
+"""The two contrasts, as the code writes them."""
+QUADTREE_WATCH = {
+    quadtree: {
+        "is_cut": ("x0", "y0", "w", "h", "V", "min_cell_px", "threshold", "contrast", RELEASED, STD),
+        "leaves": ("cell", "level"),
+        "quadtree": (),
+    }
+}
+
+
+def record_quadtree(rgb: AnyImage, **settings: Any) -> Recording:
+    """``quadtree`` of an image: a recording."""
+    return record(lambda: quadtree(torch.from_numpy(to_uint8(rgb)), **settings), QUADTREE_WATCH)
+
+
+def quadtree_stepper(
+    rgb: AnyImage,
+    *,
+    threshold: float | int = 0.1,
+    min_cell_px: int = 1,
+    contrast: Literal["released", "std"] = "released",
+) -> Stepper:
+    """Press Next through ``quadtree``: two steps for each cell, its contrast and what follows from it.
+
+    The cell that is looked at has a red border, finished leaves have blue ones.
+
+    Args:
+        rgb: A small image; one of 80 x 60 pixels already has a few hundred cells. [H, W, 3]
+        threshold, min_cell_px, contrast: As for ``quadtree``.
+    """
+    photo = to_uint8(rgb)
+    settings = {"threshold": float(threshold), "min_cell_px": min_cell_px, "contrast": contrast}
+    steps = _quadtree_steps(record_quadtree(photo, **settings))
+    height = round(450 * photo.shape[0] / photo.shape[1])
+    label = f"Quadtree of a picture of {photo.shape[1]} x {photo.shape[0]} pixels"
+    stills = (1, min(len(steps) - 1, 2 + len(steps) // 3), len(steps) - 1)
+    build = lambda figure: _quadtree_picture(figure, photo)  # noqa: E731
+    return Stepper(steps, build, name="quadtree", label=label, size=(450, height), stills=stills)
+
+
+def _quadtree_steps(recording: Recording) -> list[Step]:
+    looks = [line for line in recording if line.function == "is_cut" and RETURNED in line.values]
+    ends: dict[int, Line] = {line.call: line for line in recording if line.function == "leaves"}
+    steps: list[Step] = []
+    leaves: list[tuple[int, ...]] = []
+    waiting = 1
+    for look in sorted(looks, key=lambda line: line.call):
+        cell, waiting = tuple(look[name] for name in ("x0", "y0", "w", "h")), waiting - 1
+        is_cut, end = look[RETURNED], ends[look.call]
+        scene = {"cell": cell, "leaves": tuple(leaves), "cut": False}
+        steps.append(Step(line=look, title=_seen(look, end["level"]), numbers=_numbers(look), scene=scene))
+        if is_cut:
+            waiting += 4
+            title = "Split: its four parts are looked at one after the other, top left first."
+        else:
+            leaves.append(cell)
+            title = "Not split: this cell is a leaf."
+        counts = [("leaves so far", str(len(leaves))), ("cells that wait", str(waiting)), ("level", str(end["level"]))]
+        scene = {"cell": cell, "leaves": tuple(leaves), "cut": is_cut}
+        steps.append(Step(line=end, title=title, numbers=counts, scene=scene))
+    cells = recording.result
+    last = recording.at("return Cells(")[0]
+    counts = [(f"level {k}", str(int(n))) for k, n in enumerate(torch.bincount(cells.level.long())) if n]
+    scene = {"cell": None, "leaves": tuple(leaves), "cut": False}
+    done = f"Every cell has been looked at: {len(cells)} leaves."
+    steps.append(Step(line=last, title=done, numbers=[("leaves", str(len(cells))), *counts], scene=scene))
+    return steps
+
+
+def _seen(look: Line, level: int) -> str:
+    x0, y0, w, h = (look[name] for name in ("x0", "y0", "w", "h"))
+    place = f"Level {level}: the cell of {w} x {h} pixels at ({x0}, {y0})"
+    if "V" not in look.values:
+        return f"{place} is too small to be split; its contrast is not computed."
+    return f"{place} has a contrast {'above' if look[RETURNED] else 'not above'} the threshold."
+
+
+def _numbers(look: Line) -> list[tuple[str, str]]:
+    w, h = look["w"], look["h"]
+    halves = ("half its size", f"{w // 2} x {h // 2}, must be above {look['min_cell_px']}")
+    if "V" not in look.values:
+        return [halves]
+    contrast = look[RELEASED if look["contrast"] == "released" else STD]
+    return [
+        halves, ("V, variance of the luma", text_of(look["V"])), ("contrast", text_of(contrast)),
+        ("threshold", text_of(look["threshold"])), ("split", text_of(look[RETURNED])),
+    ]  # fmt: skip
+
+
+def _quadtree_picture(figure: "Figure", photo: Picture) -> Callable[[Step], None]:
+    from matplotlib.collections import LineCollection
+
+    H, W = photo.shape[:2]
+    axes = figure.add_axes((0.005, 0.005, 0.99, 0.99))
+    axes.imshow(photo, extent=(0, W, H, 0), interpolation="nearest")
+    axes.set_axis_off()
+    borders = LineCollection([], colors=PALETTE[0], linewidths=1.0, animated=True)
+    axes.add_collection(borders)
+    (now,) = axes.plot([], [], "-", color=PALETTE[3], linewidth=2.6, animated=True)
+    (cross,) = axes.plot([], [], "-", color=PALETTE[3], linewidth=1.4, animated=True)
+
+    def update(step: Step) -> None:
+        borders.set_segments([_outline(cell) for cell in step.scene["leaves"]])
+        cell = step.scene["cell"]
+        now.set_data(*(zip(*_outline(cell), strict=True) if cell else ([], [])))
+        x0, y0, w, h = cell or (0, 0, 0, 0)
+        x, y, gap = x0 + w // 2, y0 + h // 2, float("nan")
+        cross.set_data(*(([x, x, gap, x0, x0 + w], [y0, y0 + h, gap, y, y]) if step.scene["cut"] else ([], [])))
+
+    return update
+
+
+def _outline(cell: tuple[int, ...]) -> list[tuple[int, int]]:
+    x0, y0, w, h = cell
+    return [(x0, y0), (x0 + w, y0), (x0 + w, y0 + h), (x0, y0 + h), (x0, y0)]
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Count = Literal["per_row", "shared", "none"]
+COUNTS: tuple[Count, ...] = ("per_row", "shared", "none")
+ADAM_WATCH = {
+    adam_update: {
+        "adam_step": ("t", "steps", "model.birth_step"),
+        "adam_update": ("param", "gradient", "exp_avg", "exp_avg_sq", "m", "v", "steps", "m_hat", "v_hat", "lr"),
+    },
+    GaussianModel: {"append": ("start", "stop")},
+}
+
+
+def record_adam(
+    gradient: Sequence[float | int], config: OptimConfig, *, before: int, after: int, earlier_steps: int = 0
+) -> Recording:
+    """``adam_step`` on a map whose last row is added after ``before`` steps: a recording.
+
+    Only the opacities have a gradient, the same at every step: ``gradient[k]`` for row k.
+    """
+    model = GaussianModel(sh_degree=0)
+    model.step_count = earlier_steps
+
+    def seeds(n: int) -> Seeds:
+        return Seeds.isotropic(torch.zeros(n, 3), torch.full((n, 3), 0.5), torch.full((n,), 0.1), opacity=0.5)
+
+    def run() -> None:
+        model.append(seeds(len(gradient) - 1))
+        for k in range(before + after):
+            if k == before:
+                model.append(seeds(1))
+            zero = {name: torch.zeros_like(value) for name, value in vars(model.params).items()}
+            wanted = torch.tensor([float(g) for g in gradient[: len(model)]])
+            adam_step(model, GaussianParams(**zero | {"opacity_logit": wanted}), config)
+
+    return record(run, ADAM_WATCH)
+
+
+def adam_stepper(
+    gradient: Sequence[float | int] = (0.3, -0.1, 0.3),
+    *,
+    adam_steps: Count = "per_row",
+    before: int = 4,
+    after: int = 5,
+    earlier_steps: int = 0,
+) -> Stepper:
+    """Press Next through steps of Adam on a map to which a Gaussian is added in between.
+
+    Shown are the opacities; the gradient of each row is the same at all steps. Above: the length of each step, in
+    learning rates; the last row is orange, and its steps with the two other counts are dashed. Below: the values.
+
+    Args:
+        gradient: dL/d opacity_logit of each row; the last row is added later.
+        adam_steps: What the bias correction counts, as in ``OptimConfig``.
+        before: Steps before the last row is added.
+        after: Steps after it.
+        earlier_steps: Steps that the map took before these, for the shared count.
+
+    Raises:
+        ValueError: there are fewer than two rows, or no steps.
+    """
+    if len(gradient) < 2 or before < 1 or after < 1:
+        raise ValueError("two rows or more, and at least one step before and after the last one is added, are needed")
+    how = {"before": before, "after": after, "earlier_steps": earlier_steps}
+    config = dataclasses.replace(OptimConfig(), adam_steps=adam_steps)
+    lengths = {
+        name: _lengths(record_adam(gradient, dataclasses.replace(config, adam_steps=name), **how)) for name in COUNTS
+    }
+    steps = _adam_steps(record_adam(gradient, config, **how), len(gradient), adam_steps)
+    others = {name: lengths[name][before:] for name in COUNTS if name != adam_steps}
+    build = lambda figure: _adam_picture(figure, steps, others, before)  # noqa: E731
+    first = next(i for i, step in enumerate(steps) if step.title.startswith("A new row"))
+    return Stepper(
+        steps, build, name="adam", label=f"Adam on a growing map, count {adam_steps}", size=(450, 360),
+        stills=(4, min(first + 4, len(steps) - 1), len(steps) - 1),
+    )  # fmt: skip
+
+
+def _of_opacity(recording: Recording, part: str) -> list[Line]:
+    """The lines of ``adam_update`` that belong to the opacities, the only column of one number per row."""
+    return [line for line in recording.at(part) if line["param"].ndim == 1]
+
+
+def _lengths(recording: Recording) -> list[float]:
+    """Length of each step of the last row that there is, in learning rates."""
+    before, after = _of_opacity(recording, "m = beta1 *"), _of_opacity(recording, "param.copy_(")
+    return [float((b["param"] - a["param"]).abs()[-1] / a["lr"]) for a, b in zip(before, after, strict=True)]
+
+
+def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step]:
+    steps: list[Step] = []
+    history: list[list[tuple[int, float, float]]] = [[] for _ in range(rows)]
+    now, start = 0, torch.zeros(0)
+    counting = "steps = t - model.birth_step" if adam_steps == "per_row" else "steps: int"
+    for line in recording:
+        scene = {"history": [tuple(h) for h in history], "step": now}
+        if line.text.startswith("if start < self._most"):
+            what = "A new row" if line["start"] else "The map starts with these rows"
+            title = f"{what}: the values come from the seeds, and the moments m and v are 0."
+            added = [("rows", f"{line['start']} to {line['stop'] - 1}")]
+            steps.append(Step(line=line, title=title, numbers=added, scene=scene))
+        elif line.text.startswith(counting):
+            t = "none: no correction" if line["steps"] is None else text_of(line["steps"])
+            numbers = [("step of the map", str(line["t"])), ("t of each row", t)]
+            steps.append(Step(line=line, title="What the bias correction counts.", numbers=numbers, scene=scene))
+        elif line.function == "adam_update" and line["param"].ndim == 1:
+            if line.text.startswith("m = beta1"):
+                start, now = line["param"], now + 1
+            elif line.text.startswith("param.copy_"):
+                moved = (line["param"] - start) / line["lr"]
+                for k, by in enumerate(moved.tolist()):
+                    history[k].append((now, abs(by), by))
+                scene = {"history": [tuple(h) for h in history], "step": now}
+            if (shown := _shown(line, start)) is not None:
+                title, heads, columns = shown
+                table = [(str(k), *cells) for k, cells in enumerate(zip(*columns, strict=True))]
+                steps.append(Step(line=line, title=title, heads=("row", *heads), numbers=table, scene=scene))
+    return steps
+
+
+def _shown(line: Line, start: torch.Tensor) -> tuple[str, tuple[str, ...], list[list[str]]] | None:
+    def column(name: str) -> list[str]:
+        return [text_of(x) for x in line[name]]
+
+    if line.text.startswith("m = beta1"):
+        return "m moves one tenth of the way to the gradient g.", ("g", "m before", "m"), [
+            column("gradient"), column("exp_avg"), column("m"),
+        ]  # fmt: skip
+    if line.text.startswith("v = beta2"):
+        return "v moves one thousandth of the way to g².", ("g", "v before", "v"), [
+            column("gradient"), column("exp_avg_sq"), column("v"),
+        ]  # fmt: skip
+    if line.text.startswith("m_hat, v_hat"):
+        counted = line["steps"]
+        t = (
+            counted.double()
+            if isinstance(counted, torch.Tensor)
+            else [math.inf if counted is None else counted] * len(start)
+        )
+        title = "Bias correction: m and v started at 0, so they are divided by 1 − b^t."
+        return title, ("t", "m hat", "v hat"), [[text_of(x) for x in t], column("m_hat"), column("v_hat")]
+    if line.text.startswith("param.copy_"):
+        moved = [f"{text_of(x, 3)} lr" for x in (line["param"] - start) / line["lr"]]
+        return "The step of each row, in learning rates.", ("before", "after", "step"), [
+            [text_of(x) for x in start], column("param"), moved,
+        ]  # fmt: skip
+    return None
+
+
+def _adam_picture(
+    figure: "Figure", steps: Sequence[Step], others: dict[str, list[float]], before: int
+) -> Callable[[Step], None]:
+    above, below = figure.add_axes((0.12, 0.57, 0.86, 0.36)), figure.add_axes((0.12, 0.12, 0.86, 0.36))
+    style(above, y="lr", title="length of each step, in learning rates (orange: the new row)")
+    style(below, x="step", y="lr", title="how far each row has moved")
+    last = steps[-1].scene["history"]
+    count = len(last[0])
+    lengths = [x for row in last for _, x, _ in row] + [x for other in others.values() for x in other]
+    moved = [sum(by for _, _, by in row[: k + 1]) for row in last for k in range(len(row))]
+    above.set_ylim(0, 1.15 * max(lengths))
+    below.set_ylim(min(0.0, *moved) * 1.15 - 0.1, max(0.0, *moved) * 1.15 + 0.1)
+    for axes in (above, below):
+        axes.set_xlim(0.5, count + 0.5)
+        axes.locator_params(axis="x", integer=True)
+        axes.tick_params(labelbottom=axes is below)
+        axes.axvline(before + 0.5, color=BETWEEN, linewidth=0.8, linestyle=":")
+    for name, other in others.items():
+        where = range(before + 1, before + 1 + len(other))
+        above.plot(where, other, "--", color=PALETTE[1], alpha=0.55, linewidth=1)
+        above.annotate(name, (count, other[-1]), color=BETWEEN, fontsize=7, ha="right", va="bottom")
+    colours = [PALETTE[0], PALETTE[2], PALETTE[4], PALETTE[6]]
+    inks = [colours[k % 4] for k in range(len(last) - 1)] + [PALETTE[1]]
+    lines = [[a.plot([], [], ".-", color=ink, animated=True, markersize=6)[0] for ink in inks] for a in (above, below)]
+
+    def update(step: Step) -> None:
+        for k, row in enumerate(step.scene["history"]):
+            at = [s for s, _, _ in row]
+            lines[0][k].set_data(at, [x for _, x, _ in row])
+            lines[1][k].set_data(at, [sum(by for _, _, by in row[: i + 1]) for i in range(len(row))])
+
+    return update

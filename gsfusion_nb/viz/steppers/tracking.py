@@ -1,0 +1,400 @@
+"""Steppers through tracking: one iteration of ICP, and one Gauss-Newton step on a pose graph."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...config import TrackingConfig
+from ...drawing.curves import BETWEEN, PALETTE
+from ...tracking import Surface, align, depth_pyramid, icp_system
+from ...tracking.gauss_newton_poses import optimise_poses_plain
+from ...tracking.pose_graph import Edge
+from ...tracking.solve import solve_step
+from ...types import Camera
+from ..panels.icp import RESIDUAL_M
+from ..panels.tsdf import distance_colours
+from .recording import Line, Recording, record
+from .stepper import Step, Stepper, moving, step_of, style, text_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ICP_WATCH = {
+    icp_system: {
+        "associate": ("xyz", "u", "v", "row", "column", "surface_xyz", "surface_normal", "overlap", "near", "aligned",
+                      "inlier", "max_distance_m"),
+        "point_to_plane": ("r", "J"),
+        "icp_system": ("r", "J", "w", "rows"),
+    },
+    align: {"align": ("T_WC", "system", "step"), "_moved": ()},
+    solve_step: {"solve_step": ("H", "b", "eigenvalues", "known", "y")},
+}  # fmt: skip
+
+
+def record_icp(
+    depth_m: Float[Tensor, "H W"],
+    camera: Camera,
+    surface: Surface,
+    T_WC_start: Float[Tensor, "4 4"],
+    config: TrackingConfig,
+    factor: int,
+) -> Recording:
+    """``align`` with one iteration on one level, which is ``factor`` times smaller than the frame: a recording."""
+    once = dataclasses.replace(config, pyramid=(factor,), iterations=(1,))
+    levels = depth_pyramid(depth_m, camera, once.pyramid)
+    return record(lambda: align(levels, surface, T_WC_start, once), ICP_WATCH)
+
+
+def icp_stepper(
+    depth_m: Float[Tensor, "H W"],
+    camera: Camera,
+    surface: Surface,
+    T_WC_start: Float[Tensor, "4 4"],
+    config: TrackingConfig | None = None,
+    *,
+    factor: int = 4,
+    pixels: int = 3,
+) -> Stepper:
+    """Press Next through one iteration of ``align``: some pixels one by one, then the sums over all of them.
+
+    Left: the residual of every pixel that passes the gates, red behind the surface and blue in front of it; the pixel
+    in question is framed. Right: its point p, its partner q, and the plane of q. Below: H.
+
+    Args:
+        depth_m, camera: The frame.
+        surface: The surface to align it with.
+        T_WC_start: Camera-to-world pose before the iteration.
+        config: Limits of correspondences and damping; the defaults if left out.
+        factor: Reduction of the frame; about 40 x 30 pixels are left then of one of 160 x 120.
+        pixels: How many pixels are shown one by one; the last of them is one that a gate refuses, if there is any.
+
+    Raises:
+        ValueError: no pixel of the frame passes the gates.
+    """
+    recording = record_icp(depth_m, camera, surface, T_WC_start, config or TrackingConfig(), factor)
+    found = recording.at("inlier = overlap & near & aligned")[0]
+    if not bool(found["inlier"].any()):
+        raise ValueError("no pixel of the frame passes the gates at this pose")
+    steps = [step for at in _some_pixels(found, pixels) for step in _of_pixel(recording, at)]
+    steps += _sums(recording)
+    shape = tuple(found["inlier"].shape)
+    build = lambda figure: _icp_picture(figure, (shape[0], shape[1]))  # noqa: E731
+    label = f"One iteration of ICP, {shape[1]} x {shape[0]} pixels"
+    stills = (3, len(steps) - 4, len(steps) - 1)
+    return Stepper(steps, build, name="icp", label=label, size=(450, 350), stills=stills)
+
+
+def _some_pixels(found: Line, count: int) -> list[tuple[int, int]]:
+    """Evenly spaced inliers, and a pixel that meets the surface but is refused."""
+    inliers, refused = found["inlier"].nonzero(), (found["overlap"] & ~found["inlier"]).nonzero()
+    n = count - bool(len(refused))
+    chosen = [inliers[int((k + 0.5) * len(inliers) / n)] for k in range(n)]
+    chosen += [refused[len(refused) // 2]] if len(refused) else []
+    return [(int(row), int(column)) for row, column in chosen]
+
+
+def _residuals(recording: Recording, nth: int) -> np.ndarray:
+    """Point-to-plane distances of the pixels that pass the gates in the n-th system; NaN elsewhere."""
+    inlier = recording.at("inlier = overlap & near & aligned")[nth]["inlier"]
+    image = torch.full(inlier.shape, torch.nan)
+    image[inlier] = recording.at("r = ((xyz - surface_xyz)")[nth]["r"].float()
+    return image.numpy()
+
+
+def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
+    moved, falls = recording.at("xyz = se3.apply(T, depth_to_points")[0], recording.at("row, column = v.where")[0]
+    partner, gate = recording.at("surface_normal = surface.normal_W")[0], recording.at("inlier = overlap &")[0]
+    r_line, J_line = recording.at("r = ((xyz - surface_xyz)")[0], recording.at("J = torch.cat([surface_normal")[0]
+    p, q, n = moved["xyz"][at], partner["surface_xyz"][at], partner["surface_normal"][at]
+    scene = {"residual": _residuals(recording, 0), "pixel": at, "p": p.numpy(), "q": None, "n": None, "H": None}
+    whole = scene | {"q": q.numpy(), "n": n.numpy()}
+    name = f"Pixel ({at[1]}, {at[0]})"
+    steps = [
+        step_of(moved, f"{name}: its point p, moved with the assumed pose.", [("p", text_of(p) + " m")], scene),
+        step_of(falls, "p is projected into the camera of the surface: the pixel on which it falls.", [
+            ("u, v", f"{float(falls['u'][at]):.2f}, {float(falls['v'][at]):.2f}"),
+            ("row, column", f"{int(falls['row'][at])}, {int(falls['column'][at])}"),
+        ], scene),
+        step_of(partner, "The surface's point q and normal n at that pixel: its partner, a guess.", [
+            ("q", text_of(q) + " m"), ("n", text_of(n, 3)), ("|p − q|", f"{1000 * float((p - q).norm()):.1f} mm"),
+        ], whole),
+    ]  # fmt: skip
+    near, aligned, inlier = (bool(gate[key][at]) for key in ("near", "aligned", "inlier"))
+    verdict = "this pair is used" if inlier else "this pair is refused and has no residual"
+    gates = [
+        ("distance", f"{'within' if near else 'above'} {100 * gate['max_distance_m']:.0f} cm"),
+        ("normals agree", text_of(aligned)), ("used", text_of(inlier)),
+    ]  # fmt: skip
+    steps.append(step_of(gate, f"The gates, distance and angle of the normals: {verdict}.", gates, whole))
+    if inlier:
+        index = int(gate["inlier"].flatten()[: at[0] * gate["inlier"].shape[1] + at[1]].sum())
+        r, J = r_line["r"][index], J_line["J"][index]
+        title = "Only the distance to the plane of q counts."
+        steps.append(step_of(r_line, title, [("r = (p − q) . n", f"{1000 * float(r):.2f} mm")], whole))
+        rows = [("n", text_of(J[:3], 3)), ("p x n", text_of(J[3:], 3))]
+        steps.append(step_of(J_line, "How r changes with a small motion: this pixel's row of J.", rows, whole))
+    return steps
+
+
+def _sums(recording: Recording) -> list[Step]:
+    system, solve = recording.at("return IcpSystem(")[0], recording.at("y = -directions")[0]
+    H, b = system["return"].H, system["return"].b
+    step, poses = recording.at("step = _step(")[0]["step"], recording.at("T_WC = _moved(")[0]
+    scene = {"residual": _residuals(recording, 0), "pixel": None, "p": None, "q": None, "n": None, "H": H.numpy()}
+    names = ("x", "y", "z", "about x", "about y", "about z")
+    rows = [(name, text_of(x)) for name, x in zip(names, b, strict=True)]
+    title = f"H = sum w J^T J and b = sum w J^T r over the {system['return'].n_inliers} pairs: six equations."
+    steps = [step_of(system, title, rows, scene, ("", "b"))]
+    known = [text_of(bool(k)) for k in solve["known"]]
+    rows = [(str(k), text_of(e), s) for k, (e, s) in enumerate(zip(solve["eigenvalues"], known, strict=True), 1)]
+    title = "Solved along the principal directions, and only along those that the scene determines."
+    steps.append(step_of(solve, title, rows, scene, ("direction", "information", "determined")))
+    xi = [(name, f"{1000 * float(x):.2f} mm" if k < 3 else f"{float(x.rad2deg()):.3f}°")
+          for k, (name, x) in enumerate(zip(names, step.xi, strict=True))]  # fmt: skip
+    moved = scene | {"residual": _residuals(recording, 1)}
+    steps.append(step_of(poses, "The pose is moved by exp(xi); all residuals change.", xi, moved, ("motion", "xi")))
+    last = recording.at("return IcpResult(")[0]
+    before, after = recording.at("system, joined = rows.at(level,")[0]["system"], last["system"]
+    rows = [
+        ("rms before", f"{1000 * before.rms_m:.2f} mm, {before.n_inliers} pairs"),
+        ("rms after", f"{1000 * after.rms_m:.2f} mm, {after.n_inliers} pairs"),
+        ("the surface moved by", f"{1000 * step.length_m:.2f} mm"),
+    ]
+    title = "One iteration is done. The next one looks for partners again, from the new pose."
+    steps.append(step_of(last, title, rows, moved))
+    return steps
+
+
+def _icp_picture(figure: "Figure", shape: tuple[int, int]) -> Callable[[Step], None]:
+    left = figure.add_axes((0.01, 0.30, 0.57, 0.60))
+    sketch, matrix = figure.add_axes((0.63, 0.52, 0.35, 0.40)), figure.add_axes((0.66, 0.03, 0.32, 0.36))
+    style(left, title=f"residual, ±{1000 * RESIDUAL_M:.0f} mm (red −, blue +)")
+    style(sketch, title="p, q and the plane of q")
+    style(matrix, title="H (blue +, red −)")
+    for axes in (left, sketch, matrix):
+        axes.set_xticks([])
+        axes.set_yticks([])
+    image = left.imshow(np.zeros((*shape, 4)), interpolation="nearest", animated=True, aspect="auto")
+    frame = moving(left, "s", color=PALETTE[1], markersize=9, fillstyle="none", mew=2)
+    sketch.set_xlim(-1, 1)
+    sketch.set_ylim(-1, 1)
+    plane = moving(sketch, "-", color=PALETTE[0], linewidth=2)
+    normal = moving(sketch, "-", color=PALETTE[2], linewidth=1.6)
+    gap = moving(sketch, "--", color=PALETTE[3], linewidth=1.6)
+    dots = moving(sketch, "o", color=PALETTE[1], markersize=7)
+    names = [sketch.text(0, 0, name, color=BETWEEN, fontsize=9, animated=True) for name in "pqn"]
+    cells = matrix.imshow(np.zeros((6, 6, 4)), interpolation="nearest", animated=True)
+
+    def update(step: Step) -> None:
+        scene = step.scene
+        image.set_data(_coloured(scene["residual"] / RESIDUAL_M))
+        frame.set_data(*(([scene["pixel"][1]], [scene["pixel"][0]]) if scene["pixel"] else ([], [])))
+        drawn = _flat(scene["p"], scene["q"], scene["n"]) if scene["q"] is not None else None
+        p, q, n = drawn or (np.zeros(2), np.zeros(2), np.zeros(2))
+        foot = p - n * float((p - q) @ n)
+        plane.set_data(*(([-0.95, 0.95], [q[1], q[1]]) if drawn else ([], [])))
+        normal.set_data(*(([q[0], q[0]], [q[1], q[1] + 0.6]) if drawn else ([], [])))
+        gap.set_data(*(([p[0], foot[0]], [p[1], foot[1]]) if drawn else ([], [])))
+        dots.set_data(*(([p[0], q[0]], [p[1], q[1]]) if drawn else ([], [])))
+        for text, at in zip(names, (p, q, q + 0.6 * n), strict=True):
+            text.set_position((at[0] + 0.08, at[1] + 0.03))
+            text.set_visible(drawn is not None)
+        H = scene["H"]
+        scaled = None if H is None else H / np.sqrt(np.outer(H.diagonal(), H.diagonal()))
+        cells.set_data(np.zeros((6, 6, 4)) if scaled is None else _coloured(scaled))
+
+    return update
+
+
+def _coloured(values: np.ndarray) -> np.ndarray:
+    """Blue for positive and red for negative numbers in -1..1, nothing for NaN."""
+    shown = ~np.isnan(values)
+    rgb = distance_colours(np.where(shown, np.clip(values, -1, 1), 0)) / 255.0
+    return np.concatenate([rgb, shown[..., None].astype(float)], axis=2)
+
+
+def _flat(p: np.ndarray, q: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """p and q in the plane of p - q and n, with n upwards and the longer of both distances 1.2 wide."""
+    along = float((p - q) @ n)
+    across = float(np.linalg.norm((p - q) - along * n))
+    size = max(abs(along), across, 1e-6) / 0.8
+    low = -0.4 if along > 0 else 0.2
+    return np.array([across / size - 0.4, low + along / size]), np.array([-0.4, low]), np.array([0.0, 1.0])
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+GRAPH_WATCH = {
+    optimise_poses_plain: {
+        "relative_pose_error": ("e", "J"),
+        "weighted": (),
+        "_descend": ("T_WC", "e", "J_i", "J_j", "error", "after", "share", "proposed"),
+        "pose_graph_step": ("H", "b", "xi", "T_WC"),
+    }
+}
+_DEGREES = 180 / torch.pi
+
+
+def record_pose_graph(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Recording:
+    """``optimise_poses_plain`` with one step from each of its starts: a recording."""
+    return record(lambda: optimise_poses_plain(T_WC, edges, iterations=1), GRAPH_WATCH)
+
+
+def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepper:
+    """Press Next through the first step of ``optimise_poses_plain`` on a small graph.
+
+    Left: the cameras from above, the first one fixed; loops are orange, the edge in question is red. Right: the size of
+    the blocks of H, one row for each pose.
+
+    Args:
+        T_WC: Camera-to-world poses to start from, four to eight of them. [K, 4, 4]
+        edges: Relative poses; every pose must be connected with the first one.
+
+    Raises:
+        ValueError: there are fewer than two poses, or no edges.
+    """
+    if len(T_WC) < 2 or not edges:
+        raise ValueError(f"two poses and an edge are needed, got {len(T_WC)} poses and {len(edges)} edges")
+    recording = record_pose_graph(T_WC, edges)
+    steps = [*_errors(recording, edges), *_system(recording, edges), *_update(recording)]
+    proposed = _first(recording, "proposed = pose_graph_step")["proposed"]
+    every = torch.cat([T_WC.double(), proposed])[:, :2, 3]
+    build = lambda figure: _graph_picture(figure, edges, every)  # noqa: E731
+    stills = (len(edges) - 1, len(steps) - 4, len(steps) - 1)
+    label = f"One step on a pose graph of {len(T_WC)} poses"
+    return Stepper(steps, build, name="pose-graph", label=label, size=(450, 300), stills=stills)
+
+
+def _first(recording: Recording, part: str) -> Line:
+    return recording.at(part)[0]
+
+
+def _start(recording: Recording) -> dict[str, Any]:
+    T_WC = _first(recording, "error = graph.robust_error(e, robust)")["T_WC"]
+    return {"T_WC": T_WC, "edge": None, "H": None}
+
+
+def _errors(recording: Recording, edges: list[Edge]) -> list[Step]:
+    found = _first(recording, "e, J_i, J_j = graph.errors(T_WC)")
+    at = next(k for k, line in enumerate(recording) if line is found)
+    inside = [line for line in recording[:at] if line.function == "relative_pose_error"]
+    error = [line for line in inside if line.text.startswith("e = se3.log")][-1]
+    slope = [line for line in inside if line.text.startswith("J = torch.eye")][-1]
+    weights = _first(recording, "return torch.where(self.is_loop & robust, cauchy, huber)[:, None")
+    steps = []
+    for k, edge in enumerate(edges):
+        e = error["e"][k]
+        length = float((e[[3, 4, 5, 0, 1, 2]] @ edge.information.double() @ e[[3, 4, 5, 0, 1, 2]]).sqrt())
+        title = f"Edge {k + 1}, {edge.kind} from pose {edge.i} to {edge.j}: how far the poses are from it."
+        numbers = [
+            ("translation of e", text_of(100 * e[:3], 3) + " cm"),
+            ("rotation of e", text_of(_DEGREES * e[3:], 3) + "°"),
+            ("length", f"{length:.2f} standard deviations"),
+        ]  # fmt: skip
+        steps.append(Step(line=error, title=title, numbers=numbers, scene=_start(recording) | {"edge": k}))
+    norms = [(str(k + 1), text_of(float((J - torch.eye(6)).norm()))) for k, J in enumerate(slope["J"])]
+    title = "The derivative of each e with respect to pose j. For small errors it is nearly the identity I."
+    steps.append(Step(line=slope, title=title, heads=("edge", "|J − I|"), numbers=norms, scene=_start(recording)))
+    shares = [
+        (str(k + 1), edge.kind, f"{float((w * edge_i).sum() / (edge_i * edge_i).sum()):.3f}")
+        for k, (edge, w, edge_i) in enumerate(zip(edges, weights["return"], _informations(edges), strict=True))
+    ]
+    title = "Robust weights: an edge that is many standard deviations off counts less."
+    heads = ("edge", "kind", "weight")
+    steps.append(Step(line=weights, title=title, heads=heads, numbers=shares, scene=_start(recording)))
+    return steps
+
+
+def _informations(edges: list[Edge]) -> list[Tensor]:
+    order = torch.tensor([3, 4, 5, 0, 1, 2])
+    return [edge.information.double()[order][:, order] for edge in edges]
+
+
+def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
+    blocks = [line for line in recording.at("H.index_put_(") if line.call == 0]
+    sides = [line for line in recording.at("b.index_add_(") if line.call == 0]
+    scene = _start(recording)
+    steps = []
+    for k, (line, ends) in enumerate(zip(blocks, ("i, i", "i, j", "j, i", "j, j"), strict=True)):
+        if k % 2 == 0:
+            side = sides[k // 2]
+            rows = [(str(p), text_of(b, 3)) for p, b in enumerate(side["b"])]
+            title = f"b gets J^T Omega e of pose {'ij'[k // 2]} of every edge: the slope of the error at each pose."
+            steps.append(Step(line=side, title=title, heads=("pose", "b"), numbers=rows, scene=dict(scene)))
+        norm = line["H"].flatten(2).norm(dim=2)
+        scene = scene | {"H": norm}
+        title = f"H gets a block J^T Omega J at ({ends}) for each of the {len(edges)} edges."
+        filled = [("blocks that are not zero", f"{int((norm > 0).sum())} of {norm.numel()}")]
+        steps.append(Step(line=line, title=title, numbers=filled, scene=scene))
+    return steps
+
+
+def _update(recording: Recording) -> list[Step]:
+    solve, move = _first(recording, "xi = torch.linalg.solve"), _first(recording, "return torch.cat([T_WC[:1]")
+    before = _first(recording, "error = graph.robust_error(e, robust)")
+    after = _first(recording, "after = graph.robust_error(there[0], robust)")
+    H = [line for line in recording.at("H.index_put_(") if line.call == 0][-1]["H"].flatten(2).norm(dim=2)
+    scene = _start(recording) | {"H": H}
+    rows = [(str(k), text_of(100 * xi[:3], 3), text_of(_DEGREES * xi[3:], 3)) for k, xi in enumerate(solve["xi"], 1)]
+    title = "Solve H xi = −b for all poses but the first, which is fixed: where each pose should move."
+    steps = [Step(line=solve, title=title, heads=("pose", "cm", "degrees"), numbers=rows, scene=scene)]
+    T = move["return"]
+    rows = [(str(k), text_of(t, 4)) for k, t in enumerate(T[:, :3, 3])]
+    title = "Each pose moves in its own camera frame: T exp(xi)."
+    moved = scene | {"T_WC": T}
+    steps.append(Step(line=move, title=title, heads=("pose", "position, m"), numbers=rows, scene=moved))
+    numbers = [("error before", text_of(before["error"])), ("error after", text_of(after["after"]))]
+    fell = after["after"] <= before["error"]
+    title = "The robust error has fallen: the step is taken." if fell else "The error has grown: the step is halved."
+    steps.append(Step(line=after, title=title, numbers=numbers, scene=moved))
+    return steps
+
+
+def _graph_picture(figure: "Figure", edges: Sequence[Edge], every: Tensor) -> Callable[[Step], None]:
+    from matplotlib.collections import LineCollection
+
+    left, right = figure.add_axes((0.13, 0.15, 0.47, 0.75)), figure.add_axes((0.66, 0.30, 0.32, 0.48))
+    style(left, x="x, m", y="y, m", title="cameras from above")
+    style(right, title="blocks of H")
+    low, high = every.amin(0), every.amax(0)
+    middle, half = (low + high) / 2, 0.7 * float((high - low).max().clamp_min(0.1))
+    left.set_xlim(float(middle[0]) - half, float(middle[0]) + half)
+    left.set_ylim(float(middle[1]) - half, float(middle[1]) + half)
+    K = max(max(e.i, e.j) for e in edges) + 1
+    inks = [PALETTE[1] if e.kind == "loop" else PALETTE[0] for e in edges]
+    links = LineCollection([], colors=inks, linewidths=1.6, animated=True)
+    left.add_collection(links)
+    start = moving(left, "o", color=BETWEEN, markersize=4, alpha=0.6)
+    dots = moving(left, "o", color=PALETTE[2], markersize=7)
+    focus = moving(left, "-", color=PALETTE[3], linewidth=3.5)
+    names = [left.text(0, 0, str(k), color=BETWEEN, fontsize=8, animated=True) for k in range(K)]
+    looks = LineCollection([], colors=PALETTE[2], linewidths=1.2, animated=True)
+    left.add_collection(looks)
+    image = right.imshow(np.zeros((K, K)), cmap="Blues", vmin=0, vmax=1, animated=True)
+    right.set_xticks(range(K))
+    right.set_yticks(range(K))
+    first: list[Any] = []
+
+    def update(step: Step) -> None:
+        T = step.scene["T_WC"]
+        at = T[:, :2, 3].numpy()
+        first[:] = first or [at]
+        start.set_data(first[0][:, 0], first[0][:, 1])
+        dots.set_data(at[:, 0], at[:, 1])
+        links.set_segments([at[[e.i, e.j]] for e in edges])
+        ends = at + 0.25 * half * T[:, :2, 2].numpy()
+        looks.set_segments([np.stack([a, b]) for a, b in zip(at, ends, strict=True)])
+        for k, name in enumerate(names):
+            name.set_position((at[k, 0] + 0.04 * half, at[k, 1] + 0.04 * half))
+        edge = step.scene["edge"]
+        focus.set_data(*(at[[edges[edge].i, edges[edge].j]].T if edge is not None else ([], [])))
+        H = step.scene["H"]
+        image.set_data(np.zeros((K, K)) if H is None else (H / H.max().clamp_min(1e-12)).sqrt().numpy())
+
+    return update

@@ -1,0 +1,236 @@
+"""Live views without a browser: buttons, panels, curves, errors; of mapping, and of a loop."""
+
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from gsfusion_nb.drawing.pictures import error_map
+from gsfusion_nb.viz import LiveLoop, LiveMapper
+from gsfusion_nb.viz.display import WIDGET_MIME
+from gsfusion_nb.viz.live import worth_looking_at
+from gsfusion_nb.viz.map_pictures import live_panels
+
+
+def decoded(data):
+    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))[..., ::-1]
+
+
+def shown_frame(live):
+    """Which frame of the sequence the first panel looks like."""
+    shown = decoded(live.images["input"].value).astype(int)
+    return int(np.argmin([np.abs(shown - f.rgb.numpy() * 255).mean() for f in live.run.sequence.mapping]))
+
+
+def wait_for(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.005)
+
+
+def test_panels_show_the_frame_the_map_the_error_and_the_seeds(make_run):
+    run = make_run()
+    report = next(run.online())
+    frame = run.sequence.mapping[0]
+    panels = live_panels(run.mapper, frame)
+    assert {p.shape for p in panels.pictures.values()} == {(36, 48, 3)}
+    assert (panels["input"] == (frame.rgb.numpy() * 255 + 0.5).astype(np.uint8)).all()
+    assert (panels["error"] == error_map(panels["render"], panels["input"])).all()
+    red = (panels["quadtree_seeds"] == (255, 48, 64)).all(-1)
+    assert report.n_seeds / 4 < red.sum() <= 4 * report.n_seeds
+    mosaic = panels.mosaic()
+    assert mosaic.shape[1] == 2 * 48 + 6
+
+
+def test_run_sync_draws_the_last_frame_and_counts(make_run):
+    run = make_run()
+    live = LiveMapper(run)
+    assert live.run_sync(2) == 2
+    assert shown_frame(live) == 1
+    live.run_sync()
+    assert len(run.steps) == 6
+    assert live.progress.value == live.progress.max == 6
+    assert "finished" in live.status.value
+    assert "6 of 6 frames" in live.status.value
+    assert "GSFusion (measured" in live.status.value
+    assert live.scrubber.widget.max == 5
+    live.scrubber.widget.value = 5
+    assert shown_frame(live) == 5
+
+
+def test_the_slider_goes_back_through_all_frames(make_run):
+    run = make_run(n=12)
+    live = LiveMapper(run)
+    assert live.scrubber.widget.disabled
+    live.run_sync(8)
+    assert (live.scrubber.widget.value, shown_frame(live)) == (7, 7)
+    live.scrubber.widget.value = 2
+    assert shown_frame(live) == 2
+    assert "looking back at frame 2" in live.status.value
+    live.run_sync(1)
+    assert (live.scrubber.widget.max, live.scrubber.widget.value, shown_frame(live)) == (8, 2, 2)
+    live.scrubber.widget.value = 8
+    live.run_sync(1)
+    assert (live.scrubber.widget.value, shown_frame(live)) == (9, 9)
+
+
+def test_run_all_leaves_it_at_a_frame_worth_looking_at(make_run):
+    run = make_run(n=12)
+    live = LiveMapper(run)
+    live.run_sync()
+    most = worth_looking_at(run.steps)
+    assert run.steps[most - 1].n_seeds == max(step.n_seeds for step in run.steps[2:])
+    assert shown_frame(live) == most - 1
+    assert "finished" in live.status.value
+    assert worth_looking_at(run.steps[:1]) == 1
+    assert worth_looking_at([]) == 0
+
+
+def enabled(live):
+    return {name for name, button in live.buttons.items() if not button.disabled}
+
+
+def test_only_buttons_that_do_something_are_enabled(make_run):
+    live = LiveMapper(make_run(n=60))
+    assert enabled(live) == {"Start", "Step"}
+    live.buttons["Step"].click()
+    wait_for(lambda: live.player.state == "paused")
+    assert enabled(live) == {"Start", "Step", "Stop"}
+    live.buttons["Start"].click()
+    assert enabled(live) == {"Pause", "Stop"}
+    live.buttons["Pause"].click()
+    wait_for(lambda: live.player.state == "paused")
+    assert enabled(live) == {"Start", "Step", "Stop"}
+    live.buttons["Stop"].click()
+    assert live.join(10)
+    assert enabled(live) == {"Start", "Step"}
+    short = LiveMapper(make_run(n=2))
+    short.run_sync()
+    assert enabled(short) == set()
+    broken = LiveMapper(make_run(broken=(1,)))
+    broken.start()
+    assert broken.join(20)
+    assert enabled(broken) == {"Start", "Step"}
+
+
+def test_an_error_is_shown_in_the_widget_and_nothing_is_printed(make_run, capsys):
+    live = LiveMapper(make_run(broken=(3,)))
+    live.start()
+    assert live.join(20)
+    assert live.player.state == "failed"
+    assert "RuntimeError: the film tore at frame 3" in live.error.value
+    assert "<details" in live.error.value
+    assert len(live.run.steps) == 3
+    captured = capsys.readouterr()
+    assert captured.out == captured.err == ""
+
+
+def test_another_live_mapper_stops_the_first(make_run):
+    first = LiveMapper(make_run(n=2000))
+    first.start()
+    wait_for(lambda: first.run.steps)
+    LiveMapper(make_run())
+    assert first.join(10)
+    assert len(first.run.steps) < 2000
+
+
+def test_stored_output_holds_the_picture(make_run, monkeypatch):
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    live = LiveMapper(make_run())
+    live.run_sync(1)
+    bundle = live._repr_mimebundle_()[0]
+    assert WIDGET_MIME not in bundle
+    assert len(bundle["image/jpeg"]) > 1000
+
+
+def listen(viewer, monkeypatch):
+    """Somebody looks at the viewer; how many rows the map had at each message."""
+    monkeypatch.setattr("gsfusion_nb.viz.splat_viewer.MIN_INTERVAL_S", 0.0)
+    sizes = []
+    monkeypatch.setattr(viewer, "send", lambda content, buffers=(): sizes.append(content["head"]["n"]))
+    viewer._heard(viewer, {"kind": "ready"}, [])
+    return sizes
+
+
+def test_the_splat_viewer_follows_the_map_and_knows_its_time(make_run, monkeypatch):
+    run = make_run(n=8, step_m=0.5)
+    live = LiveMapper(run)
+    viewer = live.splats(width=96)
+    assert (viewer.width, viewer.height) == (96, 72)
+    assert viewer.T_WC.equal(run.sequence.mapping[0].T_WC)  # nothing is mapped yet: where the camera will start
+    sizes = listen(viewer, monkeypatch)
+    live.run_sync(1)
+    wait_for(lambda: sizes and sizes[-1] == len(run.mapper.gaussians))
+    first = viewer.birth_range
+    live.start()
+    assert live.join(20)
+    wait_for(lambda: sizes[-1] == len(run.mapper.gaussians))
+    assert sizes == sorted(sizes)
+    assert first == [0.0, 0.0]
+    assert viewer.birth_range == [0.0, float(run.mapper.gaussians.birth_frame.max())]
+    assert viewer.birth_range[1] > 0
+    viewer.T_WC = run.sequence.mapping[7].T_WC
+    viewer.born_until = 0.0
+    early = viewer.picture()
+    viewer.born_until = None
+    assert (viewer.picture() != early).any()
+
+
+def test_it_starts_where_the_first_keyframe_was_and_the_last_viewer_follows(make_run):
+    live = LiveMapper(make_run())
+    live.run_sync(2)
+    earlier, viewer = live.splats(), live.splats(colour_by="depth", T_WC=live.run.sequence.mapping[3].T_WC)
+    assert earlier.T_WC.equal(live.run.mapper.keyframes[0].T_WC)
+    assert viewer.T_WC.equal(live.run.sequence.mapping[3].T_WC)
+    assert live.viewer is viewer
+    assert viewer.colour_by == "depth"
+
+
+class Counting:
+    """Counts to ``n``; the picture gets brighter; ``broken`` is the step that raises."""
+
+    def __init__(self, n=6, broken=None):
+        self.n, self.broken, self.done = n, broken, 0
+        self.values = []
+
+    def steps(self):
+        while self.done < self.n:
+            self.done += 1
+            if self.done == self.broken:
+                raise RuntimeError("a hair in the gate")
+            self.values.append(float(self.done))
+            yield self.done
+
+    def picture(self):
+        return np.full((40, 60, 3), 10 * self.done, np.uint8)
+
+
+def make_loop(**options):
+    work = Counting(**options)
+    return work, LiveLoop(work.steps, work.picture, {"count": work.values}, n_steps=work.n, width=240)
+
+
+def test_run_sync_then_buttons_go_on():
+    work, loop = make_loop()
+    assert loop.run_sync(2) == 2
+    assert "<b>paused</b> · step 2 of 6" in loop.status.value
+    before = loop.image.value
+    loop.buttons["Step"].click()
+    wait_for(lambda: work.done == 3 and loop.player.state == "paused")
+    loop.buttons["Start"].click()
+    wait_for(lambda: loop.player.state == "finished")
+    assert loop.player.join(10)
+    assert work.done == 6
+    assert "<b>finished</b> · step 6 of 6" in loop.status.value
+    assert loop.image.value != before
+
+
+def test_an_error_is_shown_and_not_printed():
+    _, loop = make_loop(broken=3)
+    loop.buttons["Start"].click()
+    wait_for(lambda: "a hair in the gate" in loop.status.value)
+    assert loop.player.state == "failed"
+    with pytest.raises(RuntimeError, match="hair"):
+        make_loop(broken=1)[1].run_sync()

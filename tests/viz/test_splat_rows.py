@@ -1,0 +1,121 @@
+"""Rows on their way to the browser: what a record holds, and that the changes sent add up to the map."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.types import GaussianParams
+from gsfusion_nb.viz.splat_rows import RowLayout, layout_for, pack_rows, packet_between
+
+
+def random_map(n, generator, harmonics=4):
+    def normal(*shape):
+        return torch.randn(*shape, generator=generator)
+
+    return GaussianParams(
+        xyz_W=3 * normal(n, 3), log_scale=normal(n, 3) - 4, quat=normal(n, 4), opacity_logit=2 * normal(n),
+        sh=0.3 * normal(n, harmonics, 3),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("columns", "harmonics"), [(0, 1), (2, 1), (3, 4), (1, 9), (0, 16)])
+def test_a_record_is_whole_words_long(columns, harmonics):
+    layout = RowLayout(columns=columns, harmonics=harmonics)
+    assert layout.stride % 4 == 0
+    assert 0 <= layout.stride - (28 + 4 * columns + 6 * harmonics) <= 2
+    assert layout.dtype.fields["columns"][1] == 28  # pyright: ignore[reportOptionalSubscript]
+
+
+@pytest.mark.parametrize("n", [0, 1, 7])
+def test_round_trip(n, generator):
+    params = random_map(n, generator)
+    columns = np.arange(2 * n, dtype=np.float32).reshape(n, 2)
+    layout = layout_for(params, 2)
+    rows = pack_rows(params, columns, layout).reshape(-1).view(layout.dtype)
+    assert len(rows) == n
+    assert (rows["xyz_W"] == params.xyz_W.numpy()).all()
+    assert (rows["columns"] == columns).all()
+    for name, value in (
+        ("quat", params.quat), ("log_scale", params.log_scale), ("sh", params.sh),
+        ("opacity", params.opacity_logit.sigmoid()),
+    ):  # fmt: skip
+        np.testing.assert_allclose(rows[name].astype(np.float32), value.numpy(), rtol=2**-11, atol=1e-6)  # float16
+
+
+def test_rows_with_nan_or_infinity_are_hidden_and_keep_their_place(generator):
+    params = random_map(4, generator)
+    xyz, sh = params.xyz_W.clone(), params.sh.clone()
+    xyz[1, 2] = float("nan")
+    sh[3, 0, 0] = float("inf")
+    layout = layout_for(params, 0)
+    bad = dataclasses.replace(params, xyz_W=xyz, sh=sh)
+    rows = pack_rows(bad, np.zeros((4, 0), np.float32), layout).reshape(-1).view(layout.dtype)
+    assert (rows["opacity"] > 0).tolist() == [True, False, True, False]
+    assert np.isfinite(rows["xyz_W"]).all()
+    assert np.isfinite(rows["sh"]).all()
+
+
+def test_huge_maps_leave_the_higher_harmonics_at_home(generator, monkeypatch):
+    params = random_map(100, generator, harmonics=16)
+    assert layout_for(params, 1).harmonics == 16
+    monkeypatch.setattr("gsfusion_nb.viz.splat_rows.PACKET_BYTES", 100 * 100)
+    layout = layout_for(params, 1)
+    assert layout.harmonics == 9
+    rows = pack_rows(params, np.zeros((100, 1), np.float32), layout)
+    assert rows.shape == (100, layout.stride)
+
+
+def packed(params):
+    return pack_rows(params, np.zeros((len(params), 0), np.float32), layout_for(params, 0))
+
+
+def applied(old, packet):
+    """What the front end holds after the packet."""
+    if packet.index is None:
+        return packet.records
+    out = np.zeros((packet.n, packet.records.shape[1]), np.uint8)
+    out[: len(old)] = old
+    out[packet.index] = packet.records
+    return out
+
+
+def test_growth_costs_the_new_rows(generator):
+    params = random_map(50, generator)
+    old, new = packed(params[:40]), packed(params)
+    packet = packet_between(old, new)
+    assert packet is not None
+    assert packet.index is not None
+    assert packet.index.tolist() == list(range(40, 50))
+    assert (applied(old, packet) == new).all()
+    assert packet.records.nbytes == 10 * new.shape[1]
+
+
+def test_changed_rows_travel_and_unchanged_ones_do_not(generator):
+    params = random_map(50, generator)
+    moved = params.xyz_W.clone()
+    moved[[3, 17]] += 0.01
+    old, new = packed(params), packed(dataclasses.replace(params, xyz_W=moved))
+    packet = packet_between(old, new)
+    assert packet is not None
+    assert packet.index is not None
+    assert packet.index.tolist() == [3, 17]
+    assert (applied(old, packet) == new).all()
+    assert packet_between(new, new) is None
+
+
+def test_everything_travels_where_parts_are_no_cheaper(generator):
+    params = random_map(50, generator)
+    old = packed(params)
+    for new in (packed(params[5:]), packed(random_map(50, generator)), packed(random_map(50, generator, harmonics=1))):
+        packet = packet_between(old, new)
+        assert packet is not None
+        assert packet.index is None
+        assert packet.n == len(new)
+    first = packet_between(None, old)
+    assert first is not None
+    assert first.index is None
+    empty = packet_between(old, old[:0])
+    assert empty is not None
+    assert empty.n == 0

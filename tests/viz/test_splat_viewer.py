@@ -1,0 +1,298 @@
+"""The splat viewer without a browser: what is sent, what a pick tells, what a stored notebook shows."""
+
+import base64
+import dataclasses
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import traitlets
+
+from gsfusion_nb.config import gps_slam
+from gsfusion_nb.drawing.pictures import to_uint8
+from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.mapping import make_mapper
+from gsfusion_nb.render import render
+from gsfusion_nb.types import Camera, Seeds
+from gsfusion_nb.viz import SplatViewer, orbit_camera
+from gsfusion_nb.viz.display import WIDGET_MIME
+from gsfusion_nb.viz.map_pictures import STATE_COLOURS
+
+CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
+FRONT = orbit_camera((0, 0, 0), -90, 0, 2.0)
+
+
+@pytest.fixture(autouse=True)
+def _watched(monkeypatch):
+    for name in ("GSNB_VIEW", "GSNB_SMOKE"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def viewer(model):
+    return SplatViewer(model, camera=CAMERA, T_WC=FRONT)
+
+
+@pytest.fixture
+def sent(viewer, monkeypatch):
+    """The row messages that left, as (head, index, records)."""
+    out = []
+
+    def send(content, buffers=()):
+        arrays = [np.frombuffer(b, np.uint8) for b in buffers]
+        index = arrays[0].view(np.int32).tolist() if len(arrays) == 2 else None
+        out.append((content["head"], index, arrays[-1].reshape(-1, content["head"]["stride"])))
+
+    monkeypatch.setattr(viewer, "send", send)
+    return out
+
+
+def say_ready(viewer):
+    viewer._handle_custom_msg({"kind": "ready"}, [])
+
+
+def more(model, n=1):
+    seeds = Seeds.isotropic(torch.rand(n, 3), torch.rand(n, 3), torch.full((n,), 0.1), tag=torch.full((n,), 2))
+    model.append(seeds, 9)
+
+
+def test_it_starts_at_the_given_pose_and_camera(viewer):
+    assert (viewer.width, viewer.height) == (64, 48)
+    assert viewer.intrinsics == [60.0, 60.0, 32.0, 24.0]
+    assert torch.allclose(viewer.T_WC, FRONT)
+    assert viewer.pivot_m == pytest.approx(2.0, abs=0.3)
+    assert torch.allclose(torch.tensor(viewer.up_W), torch.tensor([0.0, 0, 1]))
+
+
+def test_the_canvas_keeps_the_cameras_view(model):
+    wide = SplatViewer(model, camera=CAMERA, T_WC=FRONT, width=128)
+    assert (wide.width, wide.height, wide.camera.fx) == (128, 96, 120.0)
+    tall = SplatViewer(model, camera=CAMERA, T_WC=FRONT, width=64, height=64)
+    assert (tall.camera.fx, tall.camera.cy) == (60.0, 32.0)
+    assert (SplatViewer(model).width, SplatViewer(model).height) == (480, 360)
+    assert SplatViewer(model).picture().max() > 100  # from above, by itself
+
+
+def test_columns_are_what_is_known(viewer, model):
+    by_name = {c["name"]: c for c in viewer.columns}
+    assert list(by_name) == ["birth_frame", "tag"]
+    assert (by_name["birth_frame"]["low"], by_name["birth_frame"]["high"]) == (3, 7)
+    assert viewer.birth_range == [3, 7]
+    extras = {"contribution": torch.tensor([0.1, 0.9]), "state": torch.tensor([False, True])}
+    rich = SplatViewer(model, extras=extras, colour_by="contribution")
+    kinds = {c["name"]: (c["kind"], c["names"]) for c in rich.columns}
+    assert kinds["contribution"] == ("number", None)
+    assert kinds["state"] == ("state", ["unstable", "stable"])
+    bare = SplatViewer(model.params)
+    assert bare.columns == bare.birth_range == []
+
+
+def test_a_mapper_brings_its_camera_and_first_pose(make_run):
+    run = make_run()
+    next(run.online())
+    viewer = SplatViewer(run.mapper)
+    frame = run.sequence.mapping[0]
+    assert torch.allclose(viewer.T_WC, frame.T_WC)
+    assert viewer.up_W == [0, -1, 0]
+    assert (viewer.width, viewer.height) == (48, 36)
+
+
+def test_nothing_is_sent_before_someone_looks(viewer, model, sent):
+    viewer.update()
+    assert sent == []
+    say_ready(viewer)
+    (head, index, records) = sent[0]
+    assert (head["n"], head["all"], index, len(records)) == (2, True, None, 2)
+
+
+def test_updates_send_what_is_new(viewer, model, sent, monkeypatch):
+    monkeypatch.setattr("gsfusion_nb.viz.splat_viewer.MIN_INTERVAL_S", 0.0)
+    say_ready(viewer)
+    more(model)
+    viewer.update()
+    head, index, records = sent[-1]
+    assert (head["n"], head["all"], index, len(records)) == (3, False, [2], 1)
+    assert viewer.birth_range == [3, 9]
+    viewer.update()
+    assert len(sent) == 2  # nothing changed
+    model.params.xyz_W[0] += 1
+    viewer.update()
+    assert sent[-1][1] == [0]
+    model.keep(torch.tensor([False, True, True]))
+    viewer.update()
+    assert (sent[-1][0]["n"], sent[-1][0]["all"]) == (2, True)
+    say_ready(viewer)  # a second view, or one that missed something
+    assert (sent[-1][0]["all"], len(sent[-1][2])) == (True, 2)
+
+
+def test_a_view_that_cannot_answer_gets_everything(viewer, model, sent, monkeypatch):
+    """A loop in a cell keeps the kernel from hearing "ready"."""
+    monkeypatch.setattr("gsfusion_nb.viz.splat_viewer.MIN_INTERVAL_S", 0.0)
+    viewer._repr_mimebundle_()
+    for _ in range(2):
+        more(model)
+        viewer.update()
+    assert [(head["n"], head["all"]) for head, _, _ in sent] == [(3, True), (4, True)]
+
+
+def test_updates_from_a_thread_that_holds_the_map(model, monkeypatch):
+    """The mapper's thread holds its lock while it calls ``update``, the timer comes from outside: no deadlock."""
+    monkeypatch.setattr("gsfusion_nb.viz.splat_viewer.MIN_INTERVAL_S", 0.005)
+    lock = threading.RLock()
+    viewer = SplatViewer(model, camera=CAMERA, T_WC=FRONT, lock=lock)
+    monkeypatch.setattr(viewer, "send", lambda content, buffers=(): None)
+    say_ready(viewer)
+
+    def work():
+        for _ in range(100):
+            with lock:
+                more(model)
+                viewer.update()
+            time.sleep(0.001)
+
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    worker.join(20)
+    assert not worker.is_alive()
+    assert viewer._sent is not None
+
+
+def test_a_pick_gives_the_row_and_tells_observers(viewer, model):
+    heard = []
+    viewer.observe(lambda change: heard.append(change["new"]), "picked")
+    assert viewer.picked_row() is None
+    viewer.set_state({"picked": 1})  # as the browser sends it
+    assert heard == [1]
+    row = viewer.picked_row()
+    assert row.row == 1
+    assert row.xyz_W == pytest.approx((0.5, 0, 0))
+    assert row.scale_m == pytest.approx((0.15, 0.15, 0.15))
+    assert row.quat == (1, 0, 0, 0)
+    assert row.rgb == pytest.approx((0, 1, 0), abs=1e-6)
+    assert row.opacity == pytest.approx(0.99)
+    assert row.extras == {"birth_frame": 7, "tag": 5}
+    assert "0.99" in str(row)
+    assert "<th>tag</th><td>5</td>" in row._repr_html_()
+    model.keep(torch.tensor([True, False]))
+    viewer.update()
+    assert viewer.picked_row() is None
+
+
+def test_the_camera_moves_both_ways(viewer):
+    viewer.T_WC = orbit_camera((0, 0, 0), 0, 0, 2.0)
+    assert viewer.pose[3] == pytest.approx(2.0)
+    viewer.set_state({"pose": FRONT.flatten().tolist()})
+    assert torch.allclose(viewer.T_WC, FRONT)
+    with pytest.raises(ValueError, match="T_WC must be rigid"):
+        viewer.T_WC = 2 * torch.eye(4)
+
+
+def test_the_picture_is_our_renderers(viewer, model):
+    expected = render(model.params, CAMERA, FRONT).rgb.numpy() * 255
+    assert np.abs(viewer.picture() - expected).max() < 1
+    seen = [viewer.picture()]
+    for changes in (
+        {"colour_by": "depth"}, {"colour_by": "tag"}, {"colour_by": "opacity"}, {"colour_by": "rgb", "size": 2.0},
+        {"size": 1.0, "opacity": 0.5}, {"opacity": 1.0, "background": "#4060ff"},
+        {"background": "#000000", "born_until": 3.0},
+    ):  # fmt: skip
+        viewer.set_state(changes)
+        seen.append(viewer.picture())
+    assert len({p.tobytes() for p in seen}) == len(seen)
+    assert seen[-1][24, 45, 1] < 10 < seen[0][24, 45, 1]  # the green one is born at frame 7
+    assert seen[-2][0, 0].tolist() == [0x40, 0x60, 0xFF]
+
+
+def test_stored_and_live_outputs(viewer, monkeypatch):
+    live, _ = viewer._repr_mimebundle_()
+    assert {WIDGET_MIME, "image/png", "text/plain"} <= set(live)
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    stored, _ = viewer._repr_mimebundle_()
+    assert set(stored) == {"image/png", "text/plain"}
+    png = np.frombuffer(base64.b64decode(stored["image/png"]), np.uint8)
+    picture = np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR))[..., ::-1]
+    assert (picture == viewer.picture()).all()
+    assert stored["text/plain"] == "SplatViewer(2 Gaussians, 64x48)"
+
+
+def test_states_have_the_colours_of_the_live_panels(model):
+    viewer = SplatViewer(model, camera=CAMERA, T_WC=FRONT, extras={"state": torch.tensor([False, True])})
+    viewer.colour_by = "state"
+    assert [c["palette"] for c in viewer.columns if c["name"] == "state"] == ["state"]
+    stops = viewer.palettes["state"]
+    assert len(stops) == 6 * 256
+    assert (stops[:6], stops[-6:]) == tuple(bytes(STATE_COLOURS[f"{s}_opaque"]).hex() for s in ("unstable", "stable"))
+    left, right = (viewer.picture()[24, u].astype(int) for u in (17, 47))
+    assert left.argmax() == 0  # unstable: orange
+    assert right.argmax() == 2  # stable: blue
+
+
+def test_the_map_is_not_part_of_the_saved_state(viewer):
+    say_ready(viewer)
+    state = {k: v for k, v in viewer.get_state().items() if k not in ("_esm", "_css")}
+    assert len(repr(state)) < 10_000
+
+
+def test_an_empty_map(monkeypatch):
+    viewer = SplatViewer(GaussianModel(sh_degree=0), width=64, height=48)
+    out = []
+    monkeypatch.setattr(viewer, "send", lambda content, buffers: out.append((content["head"]["n"], buffers)))
+    say_ready(viewer)
+    assert out == [(0, [b""])]
+    assert viewer.picture().shape == (48, 64, 3)
+
+
+def test_bad_rows_are_left_out_with_a_sentence(model, caplog):
+    xyz = model.params.xyz_W.clone()
+    xyz[0] = float("nan")
+    viewer = SplatViewer(dataclasses.replace(model.params, xyz_W=xyz), camera=CAMERA, T_WC=FRONT)
+    assert viewer.notice == "1 of the rows hold NaN or infinite numbers and are not drawn"
+    assert viewer.notice in caplog.text
+    assert viewer.picture()[24, :32, 0].max() < 10  # the red one
+    assert viewer.picture()[24, 32:, 1].max() > 200
+
+
+def test_wrong_input_is_refused_with_a_sentence(model, viewer):
+    with pytest.raises(TypeError, match="needs a mapper, a GaussianModel or GaussianParams, got dict"):
+        SplatViewer({})
+    with pytest.raises(ValueError, match=r"extras\['error'\] must hold one number per Gaussian, \[2\], got \[3\]"):
+        SplatViewer(model, extras={"error": torch.zeros(3)})
+    with pytest.raises(ValueError, match="cannot be named 'depth'"):
+        SplatViewer(model, extras={"depth": torch.zeros(2)})
+    with pytest.raises(KeyError, match="no colour_by 'level'; known: birth_frame, depth, opacity, rgb, tag"):
+        SplatViewer(model, colour_by="level")
+    with pytest.raises(KeyError, match="no colour_by 'state'"):
+        viewer.colour_by = "state"
+    with pytest.raises(traitlets.TraitError, match="background must be a colour like"):
+        viewer.background = "red"
+
+
+def test_other_places_and_cutting_away(viewer, model):
+    viewer.look_from("above")
+    assert float(viewer.T_WC[2, 3]) > 0.5
+    assert viewer.cut_m > 0
+    assert viewer.look_from("photo").T_WC.equal(SplatViewer(model, camera=CAMERA, T_WC=FRONT).T_WC)
+    viewer.T_WC = orbit_camera((0, 0, 0), 0, 0, 2.0)  # green in front of red
+    assert viewer.picture()[24, 32].argmax() == 1
+    viewer.cut_m = 2.0
+    assert viewer.picture()[24, 32].argmax() == 0
+    with pytest.raises(KeyError, match="below"):
+        viewer.look_from("below")
+
+
+def test_a_map_over_a_surface_is_shown_with_its_surface(small_room):
+    mapper = make_mapper(gps_slam("room", data__width=80, data__height=60, tsdf__voxel_size_m=0.05))
+    for i in range(2):
+        mapper.step(small_room[i])
+    viewer = SplatViewer(mapper)
+    assert not len(mapper.gaussians)  # all that there is to see is the surface
+    drawn = to_uint8(mapper.render(viewer.camera, viewer.T_WC).rgb)
+    assert drawn.max() > 60
+    assert np.array_equal(viewer.picture(), drawn)
+    viewer.cut_m = 0.5
+    assert viewer.picture().max() > 60  # as discs
+    viewer.colour_by = "surface"
+    assert viewer.picture().shape == (60, 80, 3)
