@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.data.recorded.images import check_image_size, decode_rgb, exr_parts, image_size, png_is_cut
+from gsfusion_nb.data.recorded.images import check_image_size, decode_rgb, image_size, png_is_cut
 from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.foreign import (
     inflate,
@@ -198,7 +198,7 @@ def test_the_size_of_an_image_is_known_from_its_header(suffix):
 def test_an_image_that_claims_a_billion_pixels_is_not_decoded():
     header = struct.pack(">IIBBBBB", 30000, 30000, 8, 2, 0, 0, 0)
     data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header
-    with pytest.raises(BadFrameError, match=r"a\.png claims 30000x30000 pixels; expected .* at most 40 million"):
+    with pytest.raises(BadFrameError, match=r"a\.png cannot be decoded"):
         decode_rgb(data, "a.png")
 
 
@@ -220,32 +220,11 @@ def test_a_chunk_of_a_png_cannot_claim_more_than_the_file_has():
             decode_rgb(data, "a.png")
 
 
-def exr(channels: int, size: tuple[int, int] = (30, 20), parts: int = 1) -> bytes:
-    """The beginning of an OpenEXR file."""
-    window = struct.pack("<iiii", 5, 7, 4 + size[0], 6 + size[1])
-    names = b"".join(b"c%d\0" % i + struct.pack("<iB3xii", 2, 0, 1, 1) for i in range(channels)) + b"\0"
-    attributes = (
-        (b"channels", b"chlist", names),
-        (b"dataWindow", b"box2i", window),
-        (b"note", b"string", b"dataWindow"),
-    )
-    header = b"".join(n + b"\0" + k + b"\0" + struct.pack("<i", len(v)) + v for n, k, v in attributes) + b"\0"
-    end = b"\0" if parts > 1 else b""
-    return b"v/1\x01" + struct.pack("<I", 2 | (0x1000 if parts > 1 else 0)) + parts * header + end + bytes(50)
-
-
-def test_the_channels_of_an_openexr_file_are_counted_before_they_are_unpacked():
-    assert exr_parts(exr(3)) == [(30, 20, 3)]
-    assert exr_parts(exr(4, parts=2)) == [(30, 20, 4)] * 2
-    assert image_size(exr(1)) == (30, 20)
-    whole = exr(2)
-    for n in range(len(whole) - 50):
-        assert exr_parts(whole[:n]) == []
-        assert image_size(whole[:n]) is None
-    check_image_size(exr(2, (6000, 6000)), "d.exr", "depth")
-    with pytest.raises(BadFrameError, match=r"d\.exr claims 108000000 numbers in all its channels; expected a depth"):
-        check_image_size(exr(3, (6000, 6000)), "d.exr", "depth")
-    with pytest.raises(BadFrameError, match=r"d\.exr claims 108000000 numbers"):
-        check_image_size(exr(1, (6000, 6000), parts=3), "d.exr", "depth")
-    with pytest.raises(BadFrameError, match=r"d\.exr claims 7000x6000 pixels"):
-        check_image_size(exr(1, (7000, 6000)), "d.exr", "depth")
+def test_the_size_of_an_openexr_file_is_that_of_its_largest_part():
+    head = b"v/1\x01" + struct.pack("<I", 2)
+    sizes = ((30, 20), (7000, 6000))
+    parts = [b"dataWindow\0box2i\0" + struct.pack("<iiiii", 16, 5, 7, 4 + w, 6 + h) for w, h in sizes]
+    assert image_size(head) is None
+    assert image_size(head + parts[0]) == (30, 20)
+    with pytest.raises(BadFrameError, match=r"d\.exr claims 7000x6000"):
+        check_image_size(head + parts[0] + parts[1], "d.exr", "depth")

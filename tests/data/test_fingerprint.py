@@ -78,16 +78,6 @@ def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
     assert file_hashes([wall / "none", wall]) == dict.fromkeys([str(wall / "none"), str(wall)], hashes.UNREADABLE)
 
 
-def test_a_damaged_cache_of_hashes_costs_only_time(wall, monkeypatch, tmp_path):
-    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(hashes, "_SETTLED_NS", -(10**18))
-    before = fingerprint_of(wall)
-    for content in ("[]", "{", '{"000000.png": 3, "000001.png": {"a": 1}}'):
-        for file in (tmp_path / "cache" / "hashes").iterdir():
-            file.write_text(content)
-        assert fingerprint_of(wall) == before
-
-
 @pytest.mark.parametrize("layout", WRITERS)
 def test_every_file_that_a_reader_opens_is_noted(tmp_path, layout):
     """Also those beside or above the folder, such as the camera of all scenes of Replica."""
@@ -120,9 +110,3 @@ def test_of_a_sequence_in_memory_every_pixel_counts():
     before = sequence_fingerprint(apply_options(Listed()))
     kept[1].depth_m[7, 7] += 0.001
     assert sequence_fingerprint(apply_options(Listed())) != before
-
-
-def test_every_option_of_the_room_counts():
-    options = [{}, {"seed": 1}, {"noise": "kinect"}, {"holes": 0.1}, {"exposure_stops": 0.5}, {"view_dependent": True}]
-    found = {sequence_fingerprint(open_sequence("room", n_frames=3, width=32, height=24, **o)) for o in options}
-    assert len(found) == len(options)

@@ -13,10 +13,9 @@ import torch
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.data.recorded.images import is_to_be_turned
 from gsfusion_nb.data.stream.growing_folder import GrowingFolder
-from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError, unforeseen
+from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.export.gaussian_files import read_gaussians
 from gsfusion_nb.files import plain_cell
-from gsfusion_nb.foreign import read_object
 from gsfusion_nb.recordings.convert.formats.colmap import read_model
 
 
@@ -47,16 +46,6 @@ def test_times_are_judged_when_a_recording_is_opened(plain):
 def test_a_picture_of_one_pixel_is_no_camera(plain):
     with pytest.raises(SequenceError, match=r"at least 2 x 2"):
         open_sequence(plain(1, 1))
-
-
-def test_a_file_in_place_of_a_folder_is_named(plain):
-    root = plain()
-    for image in (root / "rgb").iterdir():
-        image.unlink()
-    (root / "rgb").rmdir()
-    (root / "rgb").write_text("")
-    with pytest.raises(SequenceNotFoundError, match=r"rgb is not a folder"):
-        open_sequence(root)
 
 
 def exif(orientation: int) -> bytes:
@@ -114,19 +103,6 @@ def test_no_text_of_a_table_is_a_formula():
     assert [plain_cell(t) for t in ("=cmd|' /C calc'!A0", " =1", "-x", "a\nb")] == [
         "'=cmd|' /C calc'!A0", "' =1", "'-x", "a b"
     ]  # fmt: skip
-
-
-@pytest.mark.parametrize("value", [None, 5, "x", [], [1], True])
-def test_an_object_that_is_none_is_named(tmp_path, value):
-    (tmp_path / "metrics.json").write_text(json.dumps({"metrics": value}))
-    with pytest.raises(SequenceError, match=r"metrics\.json must hold an object at the key metrics"):
-        read_object(tmp_path / "metrics.json", "the numbers of a run", objects=("metrics",))
-
-
-def test_full_memory_is_called_by_its_name():
-    for error in (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), MemoryError()):
-        assert "the memory is full" in unforeseen(error, "gsfusion-nb map", [])
-    assert "unexpected error" in unforeseen(RuntimeError("x"), "gsfusion-nb map", [])
 
 
 def test_a_deleted_colour_image_is_named_by_a_live_source(plain):

@@ -76,14 +76,6 @@ def test_selection(config, mapped, held):
         seq.mapping[len(mapped)]
 
 
-def test_nothing_is_kept():
-    source = Synthetic()
-    view = apply_options(source).mapping
-    for _ in range(2):
-        assert view[3].index == 3
-    assert source.decoded == [3, 3]
-
-
 @pytest.mark.parametrize(
     ("config", "n", "pattern"),
     [
@@ -135,33 +127,13 @@ def test_detection_lists_what_was_looked_for(tmp_path, box):
 
 
 def test_wrong_paths_and_names(tmp_path, box):
-    with pytest.raises(SequenceNotFoundError, match=r"nowhere is not a folder; .*built-in: room"):
+    with pytest.raises(SequenceNotFoundError, match="nowhere"):
         open_sequence(tmp_path / "nowhere")
-    (tmp_path / "file.zip").write_text("")
-    with pytest.raises(SequenceNotFoundError, match=r"file\.zip is not a folder"):
-        open_sequence(tmp_path / "file.zip")
     root = box.folder(tmp_path / "scan")
-    with pytest.raises(KeyError, match=r"no format 'kitti'; known: auto, .*folder"):
+    with pytest.raises(KeyError, match="kitti"):
         open_sequence(root, format="kitti")
-    with pytest.raises(SequenceError, match="the 'folder' layout has no split 'test'"):
-        open_sequence(root, split="test")
-    with pytest.raises(SequenceError, match="built-in scene has no split"):
-        open_sequence("room", split="test")
-    with pytest.raises(SequenceNotFoundError, match=r"scan lacks results/, traj\.txt; the 'replica' layout"):
+    for path in (root, "room"):
+        with pytest.raises(SequenceError, match="split 'test'"):
+            open_sequence(path, split="test")
+    with pytest.raises(SequenceNotFoundError, match=r"traj\.txt"):
         open_sequence(root, format="replica")
-
-
-def test_paths_as_text_and_home(tmp_path, box, monkeypatch):
-    box.folder(tmp_path / "scan", n=2)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert len(open_sequence("~/scan")) == 2
-    monkeypatch.chdir(tmp_path / "scan")
-    assert open_sequence(".").name == "scan"
-
-
-def test_a_sequence_shows_itself_in_a_line():
-    sequence = open_sequence(
-        "room", n_frames=20, width=80, height=60, data=DataConfig(hold_out_every=4, hold_out_offset=2)
-    )
-    assert repr(sequence) == "OpenedSequence('room', 20 frames, 80x60: 15 to map, 5 held out)"
-    assert repr(sequence.held_out) == "SequenceView('room', 5 frames, 80x60)"

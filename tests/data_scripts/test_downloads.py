@@ -2,8 +2,6 @@
 
 import hashlib
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -43,33 +41,6 @@ def test_tum(script, site, tum_set, tmp_path, capsys):
     (record,) = json.loads((folder / "source.json").read_text())["files"]
     assert record["sha256"] == hashlib.sha256(site.files[tum_set]).hexdigest()
     assert record["url"] == site.address + tum_set
-
-
-def test_a_broken_transfer_is_tried_again(script, site, tum_set, tmp_path, capsys):
-    module, out = script("tum"), tmp_path / "data"
-    site.broken = 2
-    assert run(module, site, out, "fr1_desk") == 0
-    assert site.seen == 3 * [tum_set]
-    assert run(module, site, out, "fr1_desk") == 0  # it is there
-    assert site.seen == 3 * [tum_set]
-
-
-@pytest.mark.parametrize("gone", [True, False])
-def test_a_file_that_does_not_come_is_named(script, site, tum_set, tmp_path, capsys, gone):
-    if gone:
-        del site.files[tum_set]
-    site.broken = 1000
-    assert run(script("tum"), site, tmp_path / "data", "fr1_desk") == 1
-    assert site.address + tum_set in capsys.readouterr().err
-    assert not (tmp_path / "data/tum").exists()
-
-
-def test_a_web_page_in_place_of_the_archive_is_not_kept(script, site, tum_set, tmp_path, capsys):
-    good, site.files[tum_set] = site.files[tum_set], b"<html>Please log in</html>"
-    assert run(script("tum"), site, tmp_path / "data", "fr1_desk") == 1
-    assert "not an archive" in capsys.readouterr().err
-    site.files[tum_set] = good
-    assert run(script("tum"), site, tmp_path / "data", "fr1_desk") == 0
 
 
 def test_nobody_agrees(script, site, tum_set, tmp_path, capsys):
@@ -175,26 +146,6 @@ def test_icl_nuim(icl, site, tmp_path, box, capsys):
     assert all(entry["published"].startswith("md5:") for entry in files)
 
 
-def test_icl_nuim_corrupted(icl, site, tmp_path, capsys):
-    good = site.files["/livingroom1-depth-clean.zip"]
-    site.files["/livingroom1-depth-clean.zip"] = good[:5] + bytes([good[5] ^ 1]) + good[6:]
-    out = tmp_path / "data"
-    assert run(icl, site, out, "livingroom1") == 1
-    assert "livingroom1-depth-clean.zip" in capsys.readouterr().err
-    assert not (out / "icl_nuim").exists()
-    site.files["/livingroom1-depth-clean.zip"], site.seen = good, []
-    assert run(icl, site, out, "livingroom1") == 0
-    assert "/livingroom1-color.zip" not in site.seen  # what was good is kept
-
-
-def test_icl_nuim_poses_that_make_no_sense(icl, site, tmp_path, capsys):
-    content = b"0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n"
-    site.files["/livingroom1-traj.txt"] = content
-    icl.MD5["livingroom1-traj.txt"] = hashlib.md5(content).hexdigest()
-    assert run(icl, site, tmp_path / "data", "livingroom1") == 1
-    assert "trajectory.log has 4 lines; expected blocks of five" in capsys.readouterr().err
-
-
 def test_icl_nuim_poses_go_to_images_by_number(icl, site, tmp_path, box, capsys):
     """Of an archive without its middle image, or a log without a pose, no later pose is shifted."""
     log = site.files["/livingroom1-traj.txt"].decode().splitlines()
@@ -213,15 +164,6 @@ def test_icl_nuim_poses_go_to_images_by_number(icl, site, tmp_path, box, capsys)
     assert "trajectory.log lacks the pose of frame 1; expected all from 0 on" in capsys.readouterr().err
 
 
-def test_published_digests_are_digests(script):
-    md5 = script("icl_nuim").MD5
-    assert len(md5) == 18
-    assert all(len(bytes.fromhex(digest)) == 16 for digest in md5.values())
-    for sequence in script("icl_nuim").SEQUENCES:
-        for depth in ("clean", "simulated"):
-            assert len(script("icl_nuim").plan(sequence, depth).items) == 4
-
-
 @pytest.mark.parametrize("name", [path.stem for path in SCRIPTS])
 def test_import_does_nothing_and_help_helps(name, script, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -235,20 +177,3 @@ def test_import_does_nothing_and_help_helps(name, script, capsys, tmp_path, monk
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(SystemExit):
         module.main([])
-
-
-def test_plans_name_the_public_hosts(script):
-    urls = [script("tum").plan(name).items[0].url() for name in script("tum").SIZES_GB]
-    assert urls[0] == "https://cvg.cit.tum.de/rgbd/dataset/freiburg1/rgbd_dataset_freiburg1_xyz.tgz"
-    assert urls[-1].endswith("/freiburg3/rgbd_dataset_freiburg3_long_office_household.tgz")
-    urls += [item.url() for item in script("replica").plan("room0").items]
-    urls += [script("seven_scenes").plan("chess").items[0].url()]
-    urls += [item.url() for item in script("icl_nuim").plan("office1").items]
-    assert all(url.startswith("https://") for url in urls)
-
-
-def test_runs_as_a_program(site, tum_set, tmp_path):
-    command = [sys.executable, str(SCRIPTS[0].parent / "tum.py"), "fr1_desk", "--mirror", site.address, "--yes"]
-    done = subprocess.run([*command, "--out", "data"], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "gsfusion-nb map data/tum/rgbd_dataset_freiburg1_desk --preset tum" in done.stdout

@@ -95,11 +95,3 @@ def test_scannetpp(written):
     assert vars(sequence.camera) == pytest.approx(vars(room(width=96, height=72).camera))
     same_views(same_poses(sequence), depth_step_m=1 / 1000, grey=2)
     assert np.all([frame.index == i for i, frame in enumerate(sequence)])
-
-
-def test_a_folder_that_is_there_is_left_alone(script, written, tmp_path, capsys):
-    folder, _ = written("folder")
-    before = sorted(p.stat().st_mtime_ns for p in folder.rglob("*"))
-    assert script("room").main(["folder", "--frames", "2", "--out", str(tmp_path / "data")]) == 1
-    assert "already exists" in capsys.readouterr().err
-    assert sorted(p.stat().st_mtime_ns for p in folder.rglob("*")) == before

@@ -26,13 +26,3 @@ def test_end_to_end(script, scene, tmp_path, box, copied_scene, capsys):
     copied_scene.check(opened.source, box)
     assert script("scannetpp").main([str(scene), "--out", str(out)]) == 0  # there already: no question
     assert not (out / ".fetch/unfinished/8b5caf3398").exists()
-
-
-def test_without_agreement_or_scan(script, scene, tmp_path, capsys):
-    module, out = script("scannetpp"), tmp_path / "data"
-    assert module.main([str(scene), "--out", str(out)]) == 1
-    assert "run again with --yes" in capsys.readouterr().err
-    (scene / "scans/mesh_aligned_0.05.ply").unlink()
-    assert module.main([str(scene), "--out", str(out), "--yes"]) == 1
-    assert "mesh_aligned_0.05.ply does not exist; expected the folder of a ScanNet++ scene" in capsys.readouterr().err
-    assert not out.exists()

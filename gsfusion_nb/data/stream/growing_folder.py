@@ -261,11 +261,11 @@ def _size(path: Path) -> int:
 
 
 class PosesOfImages:
-    """Pose lines by image, as they are appended.
+    """The lines of a growing poses.txt, each bound to the image that it is written for.
 
     A line "name r00 r01 ... r33" belongs to the image of that name. Lines of numbers alone belong to images by the
     number at the end of their names: the first line to the image with the number ``first_image``, and so on; a missing
-    image leaves its line unused.
+    image leaves its line unused. Empty lines and ``#`` comments do not count; a line counts when its end is written.
 
     Args:
         path: The file; it may not exist yet.
@@ -275,25 +275,36 @@ class PosesOfImages:
         self.path = path
         self.first_image: int | None = None
         """Number in the name of the image that the first line belongs to; ``None``: 0, and the image must be there."""
-        self._lines = AppendedLines(path)
-        self._named: bool | None = None
+        self._lines: list[str] = []
         self._of_name: dict[str, str] = {}
-        self._n_named = 0
+        self._read_bytes, self._rest = 0, b""
         self._first_seen: int | None = None
         self._last = -1
         """Line of the last image that was passed."""
 
     def update(self, *, final: bool = False) -> bool:
-        """Read what was appended; ``final`` counts a last line without an end. Whether anything was new."""
-        changed = self._lines.update(final=final)
-        if self._named is None and (first := self._lines.take(0)) is not None:
-            self._named = split_name(first)[0] is not None
-        while self._named and self._n_named < self._lines.n_lines:
-            line = self._lines.take(self._n_named)
-            self._n_named += 1
-            if line is not None:
+        """Read what was appended; ``final`` counts a last line without an end. Whether anything was new.
+
+        A file that has become shorter was written anew; it is read from its beginning.
+        """
+        try:
+            if self.path.stat().st_size < self._read_bytes:
+                self._read_bytes, self._rest = 0, b""
+                self._lines.clear()
+            with open_regular(self.path, "lines of text") as file:
+                file.seek(self._read_bytes)
+                new = file.read(TEXT_BYTES)
+        except (OSError, SequenceError):
+            return False
+        self._read_bytes += len(new)
+        *whole, self._rest = (self._rest + new).split(b"\n")
+        if final and self._rest:
+            whole, self._rest = [*whole, self._rest], b""
+        for line in (text.decode("utf-8-sig", errors="replace").strip() for text in whole):
+            if line and not line.startswith("#"):
+                self._lines.append(line)
                 self._of_name[image_key(split_name(line)[0] or line.split()[0])] = line
-        return changed
+        return bool(new)
 
     def is_there(self, image: Path) -> bool:
         """The line of an image is written.
@@ -302,9 +313,8 @@ class PosesOfImages:
             SequenceError: the lines have no names, and the image's name does not tell its line.
             BadFrameError: the same line belongs to an image before it.
         """
-        if self._named is None:
-            return False
-        if not self._named and self._place(image) <= self._last:
+        number = self.position(image)
+        if number is not None and number <= self._last:
             raise BadFrameError(f"{image} has the same number as an image before it; expected a number of its own")
         return self._line(image) is not None
 
@@ -321,24 +331,18 @@ class PosesOfImages:
         Raises:
             BadFrameError: the line is not 16 numbers.
         """
-        source = f"{self.path} pose {f'of {image.stem}' if self._named else self._place(image)}"
-        line = self._line(image)
+        number, line = self.position(image), self._line(image)
+        source = f"{self.path} pose {f'of {image.stem}' if number is None else number}"
         assert line is not None
-        self._of_name.pop(image_key(image.stem), None)
         try:
             return parsed_pose(split_name(line)[1]).reshape(1, 4, 4), source
         except ValueError:
             raise BadFrameError(f"{source} must be 16 row-major numbers, got {shown(line)}") from None
 
     def position(self, image: Path) -> int | None:
-        """Which line is the image's, from 0; ``None`` where lines have names."""
-        return None if self._named is not False else self._place(image)
-
-    def _line(self, image: Path) -> str | None:
-        return self._of_name.get(image_key(image.stem)) if self._named else self._lines.take(self._place(image))
-
-    def _place(self, image: Path) -> int:
-        """The image's line by its number."""
+        """Which line is the image's by its number, from 0; ``None`` where lines have names, or there are none yet."""
+        if not self._lines or split_name(self._lines[0])[0] is not None:
+            return None
         number = image_number(image)
         first = number if self._first_seen is None else self._first_seen
         if number is None or (self.first_image is None and first != 0):
@@ -349,52 +353,8 @@ class PosesOfImages:
             )
         return number - (self.first_image or 0)
 
-
-class AppendedLines:
-    """Lines by number, from 0; empty lines and ``#`` comments do not count. A line counts when its line end is written.
-
-    Each ``update`` reads what was appended since the last one. A file that has become shorter was rewritten; it is read
-    from its beginning, and the numbers start from 0 again.
-    """
-
-    def __init__(self, path: Path):
-        self.path = path
-        self.n_lines = 0
-        """Lines seen so far."""
-        self._lines: dict[int, str] = {}
-        self._wanted = 0
-        self._read_bytes = 0
-        self._rest = b""
-
-    def update(self, *, final: bool = False) -> bool:
-        """Read the new lines; ``final`` counts a last line without line end. Returns whether anything was new."""
-        try:
-            size = self.path.stat().st_size
-            if size < self._read_bytes:
-                self._read_bytes, self._rest, self.n_lines = 0, b"", 0
-                self._lines.clear()
-            with open_regular(self.path, "lines of text") as file:
-                file.seek(self._read_bytes)
-                new = file.read(TEXT_BYTES)
-        except (OSError, SequenceError):
-            return False
-        self._read_bytes += len(new)
-        *whole, self._rest = (self._rest + new).split(b"\n")
-        if final and self._rest:
-            whole, self._rest = [*whole, self._rest], b""
-        for line in whole:
-            self._add(line.decode("utf-8-sig", errors="replace").strip())
-        return bool(new)
-
-    def take(self, n: int) -> str | None:
-        """Line ``n``, or None if it is not written yet; earlier lines are dropped."""
-        for earlier in range(self._wanted, n):
-            self._lines.pop(earlier, None)
-        self._wanted = max(self._wanted, n)
-        return self._lines.get(n)
-
-    def _add(self, line: str) -> None:
-        if line and not line.startswith("#"):
-            if self.n_lines >= self._wanted:
-                self._lines[self.n_lines] = line
-            self.n_lines += 1
+    def _line(self, image: Path) -> str | None:
+        number = self.position(image)
+        if number is None:
+            return self._of_name.get(image_key(image.stem))
+        return self._lines[number] if 0 <= number < len(self._lines) else None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence
+from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.adjust.depth_agreement import depth_agreement
 from gsfusion_nb.data.lens import CameraModel, Undistorter
 from gsfusion_nb.data.readers import tum
@@ -82,11 +82,6 @@ def test_unknown_camera(tmp_path, box):
     assert tum(root, camera="freiburg3").camera.fx == 535.4
 
 
-def test_open_sequence_recognises_it(tmp_path, box):
-    seq = open_sequence(write(tmp_path / "scan", box), camera=box.camera)
-    assert len(seq) == 4
-
-
 def test_frames_without_colour_or_pose_are_dropped(tmp_path, box, caplog):
     root = write(tmp_path / "scan", box, n=8, gt_end=0.31)
     lines = (root / "rgb.txt").read_text().splitlines()
@@ -126,32 +121,15 @@ def test_interpolation_by_hand():
 
 
 @pytest.mark.parametrize(
-    ("name", "line", "pattern"),
-    [
-        ("rgb.txt", "hello rgb/1.png", r"rgb\.txt line 1 must be 'timestamp filename', got 'hello rgb/1\.png'"),
-        ("depth.txt", "123.4", r"depth\.txt line 1 must be 'timestamp filename'"),
-        ("depth.txt", "nan depth/1.png", r"depth\.txt line 1 must begin with a time"),
-        ("rgb.txt", "# nothing", r"rgb\.txt is empty; expected lines 'timestamp filename'"),
-        ("groundtruth.txt", "1 2 3", r"groundtruth\.txt line 1 must hold 8 numbers \(timestamp tx .*, got 3"),
-        (
-            "groundtruth.txt",
-            f"{T0} 0 0 0 0 0 0 2\n{T0 + 0.15} 0 0 0 0 0 0 2",
-            r"groundtruth\.txt: the pose at 1305031102\.000000 s .* length 2",
-        ),
-    ],
-)
-def test_damaged_lists(tmp_path, box, name, line, pattern):
+    ("name", "line"),
+    [("rgb", "hello rgb/1.png"), ("depth", "123.4"), ("depth", "nan depth/1.png"), ("rgb", "# nothing"),
+     ("groundtruth", "1 2 3"), ("groundtruth", f"{T0} 0 0 0 0 0 0 2\n{T0 + 0.15} 0 0 0 0 0 0 2")],
+)  # fmt: skip
+def test_damaged_lists(tmp_path, box, name, line):
     root = write(tmp_path / "scan", box)
-    (root / name).write_text(line + "\n")
-    with pytest.raises(SequenceError, match=pattern):
+    (root / f"{name}.txt").write_text(line + "\n")
+    with pytest.raises(SequenceError, match=rf"{name}\.txt"):
         tum(root, camera=box.camera)
-
-
-def test_missing_list(tmp_path, box):
-    root = write(tmp_path / "scan", box)
-    (root / "groundtruth.txt").unlink()
-    with pytest.raises(SequenceNotFoundError, match=r"scan lacks groundtruth\.txt; the 'tum' layout"):
-        tum(root)
 
 
 def brown(xy, k1, k2, p1, p2, k3):

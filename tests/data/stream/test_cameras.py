@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.stream import AzureKinect, BackgroundFrames, CameraNotFoundError, RealSense
 from gsfusion_nb.data.stream.cameras import _SIZES
 from gsfusion_nb.types import Frame
@@ -86,20 +85,6 @@ def test_pixel_centres_are_ours(device, box):
     assert box.off_wall_m(there) < 0.001
 
 
-def test_the_device_is_switched_off_when_the_frames_are_given_up(device):
-    camera = device.plugged([0, 1, 2]).camera()
-    some(camera, 2)
-    assert not device.replay.running
-    assert device.replay.log.count("stopped") == 1
-
-
-def test_it_can_be_used_again(device):
-    camera = device.plugged([0, 1, 2]).camera()
-    some(camera, 1)
-    assert len(some(camera, 1)) == 1
-    assert device.replay.log.count("stopped") == 2
-
-
 def test_the_first_frames_are_thrown_away(device):
     [frame] = some(device.plugged([0, 0, 0, 1, 2]).camera(warm_up=3), 1)
     assert frame.index == 0
@@ -129,24 +114,10 @@ def test_a_silent_camera_is_given_up(device):
     assert camera.n_timeouts == 5
 
 
-def test_no_camera_is_said_before_anything_is_started(device):
-    device.plugged([0])
-    device.replay.connected = False
-    with pytest.raises(CameraNotFoundError, match=r"no (RealSense camera is connected|Azure Kinect number 0)"):
-        next(iter(device.camera()))
-
-
 def test_a_driver_that_is_not_installed_names_the_extra(device, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2" if device.kind == "realsense" else "pyk4a", None)
     with pytest.raises(CameraNotFoundError, match=rf"pip install 'gsfusion-nb\[{device.kind}\]'"):
         next(iter(device.camera()))
-
-
-def test_stop_from_another_thread(device):
-    camera = device.plugged([0]).camera()  # frames without end
-    with BackgroundFrames(camera, policy="drop") as frames:
-        next(frames)
-    assert not device.replay.running
 
 
 def test_lens_distortion_is_removed_from_both_images(device, box):
@@ -184,30 +155,6 @@ def test_realsense_streams_and_filters(box, monkeypatch):
     assert device.replay.log[3:9] == order
     with pytest.raises(KeyError, match="no RealSense filter 'median'"):
         device.camera(filters=("median",))
-
-
-def test_realsense_of_several_cameras(box, monkeypatch):
-    device = Device(box, "realsense", monkeypatch).plugged([0], serials=("123", "456"))
-    some(device.camera(serial="456"), 1)
-    assert device.replay.log[0] == ("device", "456")
-    with pytest.raises(CameraNotFoundError, match="with serial number 789; connected: 123, 456"):
-        some(device.camera(serial="789"), 1)
-
-
-def test_realsense_refusals(box, monkeypatch):
-    device = Device(box, "realsense", monkeypatch).plugged([0])
-    with pytest.raises(CameraNotFoundError, match="cannot stream 31x48 at 30 fps: Couldn't resolve"):
-        some(RealSense(width=31, height=48), 1)
-    device.plugged([0], (0.1,) * 8, model="distortion.ftheta")
-    with pytest.raises(SequenceError, match="distortion 'ftheta'; expected a Brown-Conrady lens"):
-        some(device.camera(), 1)
-    assert not device.replay.running
-
-
-def test_realsense_depth_scale(box, monkeypatch):
-    device = Device(box, "realsense", monkeypatch).plugged([0], scale=0.0001)
-    [frame] = some(device.camera(), 1)
-    assert float((frame.depth_m - torch.from_numpy(device.pictures[0][1])).abs().max()) < 0.000051
 
 
 def test_kinect_settings(box, monkeypatch):

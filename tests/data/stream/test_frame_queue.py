@@ -1,10 +1,17 @@
+"""The queue of arriving frames, the thread that fills it, and selection."""
+
 import threading
+import weakref
+from collections.abc import Iterator
 
 import pytest
 import torch
 
-from gsfusion_nb.data import BadFrameError
-from gsfusion_nb.data.stream import POLICIES, FrameQueue
+from gsfusion_nb.backends import _choice, use_backend
+from gsfusion_nb.config import DataConfig, RepairConfig
+from gsfusion_nb.data import BadFrameError, SequenceError
+from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data.stream import POLICIES, BackgroundFrames, FrameQueue, LiveSource, SelectedFrames, read_ahead
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=2, height=2, fx=2.0, fy=2.0, cx=1.0, cy=1.0)
@@ -114,58 +121,153 @@ def test_errors_of_single_frames_keep_their_place_and_are_never_dropped(policy):
     assert taken(queue) == [2]
 
 
-def test_dropping_the_oldest_leaves_errors_in_place():
-    queue = FrameQueue("queue", 1)
-    queue.put_error(BadFrameError("first"))
-    fill(queue, [1, 2])
-    queue.end()
-    with pytest.raises(BadFrameError, match="first"):
-        queue.get()
-    assert taken(queue) == [2]
+class Counting:
+    """A sequence that remembers which frames were read, on which thread, and how many are alive."""
+
+    def __init__(self, source, bad=()):
+        self.source, self.bad = source, set(bad)
+        self.name, self.camera = "counting", source.camera
+        self.read: list[int] = []
+        self.threads: set[str] = set()
+        self.alive: weakref.WeakSet = weakref.WeakSet()
+        self.most_alive = 0
+
+    def __len__(self):
+        return 3 * len(self.source)
+
+    def pose(self, i):
+        return self.source.pose(i % len(self.source))
+
+    def __getitem__(self, i):
+        self.read.append(i)
+        self.threads.add(threading.current_thread().name)
+        if i in self.bad:
+            raise BadFrameError(f"frame {i} is torn")
+        frame = self.source[i % len(self.source)]
+        self.alive.add(frame)
+        self.most_alive = max(self.most_alive, len(self.alive))
+        return frame
 
 
-@pytest.mark.parametrize("policy", POLICIES)
-def test_the_sources_exception_comes_after_its_frames_and_once(policy):
-    queue = FrameQueue(policy, 2)
-    queue.put(frame(0))
-    queue.end(OSError("the disk is gone"))
-    assert index_of(queue.get()) == 0
-    with pytest.raises(OSError, match="the disk is gone"):
-        queue.get()
+@pytest.fixture
+def sequence(box, tmp_path):
+    return folder(box.folder(tmp_path, 4))
+
+
+def frames_of(frames) -> list[Frame | str]:
+    """What comes, errors as their text."""
+    found: list[Frame | str] = []
+    while True:
+        try:
+            found.append(next(frames))
+        except StopIteration:
+            return found
+        except SequenceError as e:
+            found.append(str(e))
+
+
+@pytest.mark.parametrize("depth", [0, 1, 4])
+def test_reading_ahead_gives_the_same_frames_and_errors_in_order(sequence, depth):
+    counting = Counting(sequence, bad={2, 7})
+    found = frames_of(read_ahead(counting, depth=depth))
+    assert [f if isinstance(f, str) else f.index for f in found] == [
+        0, 1, "frame 2 is torn", 3, 0, 1, 2, "frame 7 is torn", 0, 1, 2, 3,
+    ]  # fmt: skip
+    assert counting.threads == {"frames" if depth else "MainThread"}
+    first = found[0]
+    assert isinstance(first, Frame)
+    assert (first.rgb == sequence[0].rgb).all()
+
+
+def test_closing_early_ends_the_thread(sequence):
+    frames = read_ahead(Counting(sequence), depth=1)
+    next(frames)
+    frames.close()
+    assert "frames" not in {t.name for t in threading.enumerate()}
     with pytest.raises(StopIteration):
-        queue.get()
+        next(frames)
 
 
-def test_closing_frees_a_source_that_waits_for_room():
-    queue = FrameQueue("all", 1)
-    queue.put(frame(0))
-    thread = threading.Thread(target=fill, args=(queue, [1, 2, 3]))
-    thread.start()
-    queue.close()
-    thread.join(5)
-    assert not thread.is_alive()
-    assert queue.n_waiting == 0
-    with pytest.raises(StopIteration):
-        queue.get()
+def test_an_exception_of_the_source_is_raised_after_its_frames(sequence):
+    def source() -> Iterator[Frame]:
+        yield sequence[0]
+        raise RuntimeError("the driver crashed")
+
+    frames = BackgroundFrames(source())
+    assert next(frames).index == 0
+    with pytest.raises(RuntimeError, match="the driver crashed"):
+        next(frames)
+    assert frames_of(frames) == []
 
 
-def test_closing_frees_a_taker_that_waits_for_a_frame():
-    queue, ended = FrameQueue(), threading.Event()
+def test_a_generator_is_closed_on_its_own_thread(sequence):
+    ended = []
 
-    def take():
-        with pytest.raises(StopIteration):
-            queue.get()
-        ended.set()
+    def source() -> Iterator[Frame]:
+        try:
+            while True:
+                yield sequence[0]
+        finally:
+            ended.append(threading.current_thread().name)
 
-    thread = threading.Thread(target=take)
-    thread.start()
-    queue.close()
-    assert ended.wait(5)
-    thread.join(5)
+    with BackgroundFrames(source(), size=1) as frames:
+        next(frames)
+    assert ended == ["frames"]
 
 
-def test_impossible_queues_are_refused():
-    with pytest.raises(KeyError, match="no policy 'newest'; known: all, drop, latest, queue"):
-        FrameQueue("newest")
-    with pytest.raises(ValueError, match="at least 1 frame, got 0"):
-        FrameQueue("queue", 0)
+class Silent(LiveSource):
+    """A camera that gives one frame and then waits until it is stopped."""
+
+    def __init__(self, frame):
+        self.frame, self.stopping = frame, threading.Event()
+
+    def __iter__(self):
+        yield self.frame
+        assert self.stopping.wait(10)
+
+    def stop(self):
+        self.stopping.set()
+
+
+def test_a_source_that_waits_is_stopped(sequence):
+    source = Silent(sequence[0])
+    with BackgroundFrames(source) as frames:
+        next(frames)
+    assert source.stopping.is_set()
+    assert "frames" not in {t.name for t in threading.enumerate()}
+
+
+def test_the_chosen_backend_reaches_the_thread(sequence):
+    seen = []
+
+    class Asking(Counting):
+        def __getitem__(self, i):
+            seen.append(_choice.get())
+            return super().__getitem__(i)
+
+    with use_backend("reference"), read_ahead(Asking(sequence)) as frames:
+        next(frames)
+    assert seen[0] == "reference"
+
+
+def test_selection_counts_arrivals_and_resizes(sequence):
+    data = DataConfig(start=2, stride=3, stop=9, width=32, depth_max_m=10.0)
+    found = list(SelectedFrames((f for _ in range(3) for f in sequence), data, first_index=100))
+    assert [f.index for f in found] == [102, 105, 108]
+    assert [f.timestamp_s for f in found] == [sequence[i].timestamp_s for i in (2, 1, 0)]
+    assert found[0].camera == sequence.camera.resized(32, 24)
+    assert found[0].rgb.shape == (24, 32, 3)
+
+
+def test_a_bad_frame_counts_as_an_arrival(sequence):
+    frames = frames_of(SelectedFrames(read_ahead(Counting(sequence, bad={1}), depth=0), DataConfig(stop=3)))
+    assert [f if isinstance(f, str) else f.index for f in frames] == [0, "frame 1 is torn", 2]
+
+
+def test_options_that_a_stream_cannot_have_are_refused(sequence):
+    with pytest.raises(SequenceError, match=r"data\.stop must be above data\.start 4"):
+        SelectedFrames(sequence, DataConfig(start=4, stop=2))
+    with pytest.raises(SequenceError, match=r"data\.repair corrects recordings"):
+        SelectedFrames(sequence, DataConfig(repair=RepairConfig(fx=3.0)))
+    with pytest.raises(SequenceError, match="expected a Frame, got int"):
+        next(SelectedFrames(iter([3]), DataConfig()))  # pyright: ignore[reportArgumentType]

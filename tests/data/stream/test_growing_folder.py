@@ -1,7 +1,5 @@
 import json
 import shutil
-import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.data.recorded.images import is_complete_image
 from gsfusion_nb.data.stream import GrowingFolder
-from gsfusion_nb.data.stream.growing_folder import AppendedLines
+from gsfusion_nb.data.stream.growing_folder import PosesOfImages
 from gsfusion_nb.types import Frame
 
 
@@ -181,22 +179,6 @@ def test_a_damaged_image_and_a_bad_pose_line_are_named(writer):
     assert "pose 2 has NaN" in found[2]
 
 
-def test_files_come_in_natural_order_and_late_ones_are_named(writer):
-    for kind in ("rgb", "depth"):
-        for path in (writer.source / kind).iterdir():
-            path.rename(path.with_stem(str(int(path.stem) + 8)))  # 8, 9, 10, ...
-
-    def named(i):
-        return writer.file(f"rgb/{i}.jpg"), writer.file(f"depth/{i}.png")
-
-    set_key(writer.source, "first_image", 9)
-    writer.then(writer.camera(), *named(9), *named(10), *(writer.pose(i) for i in range(6)))
-    writer.then().then().then(*named(8)).then(*named(11))
-    found = everything(follow(writer))
-    assert ["bad" if isinstance(f, str) else "frame" for f in found] == ["frame", "frame", "bad", "frame"]
-    assert "8.jpg appeared after later frames" in found[2]
-
-
 def set_key(folder: Path, key: str, value) -> None:
     path = folder / "intrinsics.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
@@ -256,31 +238,6 @@ def test_the_stop_file_ends_it_after_the_frames_that_are_there(writer):
     assert writer.waits == 1
 
 
-def test_what_is_incomplete_when_it_ends_is_named(writer):
-    writer.then(writer.camera(), *writer.whole(0), writer.rgb(1), writer.stop)
-    found = everything(follow(writer))
-    assert indices(found) == [0, "bad"]
-    assert "depth has no image 000001" in found[1]
-
-
-def test_it_ends_when_nothing_changes(writer):
-    writer.then(writer.camera(), *writer.whole(0))
-    source = follow(writer, idle_s=2.0, poll_s=0.1)
-    assert indices(everything(source)) == [0]
-    assert 20 <= writer.waits <= 26
-
-
-def test_time_spent_mapping_is_not_idleness(writer):
-    """Only waits count, so a mapper that takes long over a frame does not end the recording."""
-    writer.then(writer.camera(), *writer.whole(0), *writer.whole(1))
-    source = follow(writer, idle_s=0.5)
-    assert next(source).timestamp_s == 0
-    for _ in range(3):
-        writer.then()
-    writer.then(*writer.whole(2))
-    assert indices(everything(source)) == [1, 2]
-
-
 def test_stop_ends_it_at_once(writer):
     writer.then(writer.camera(), *writer.whole(0), *writer.whole(1))
     source = follow(writer)
@@ -307,65 +264,21 @@ def test_a_folder_without_intrinsics_says_so_in_the_end(writer):
         everything(follow(writer, idle_s=1))
 
 
-def test_a_missing_folder_is_refused(tmp_path):
-    with pytest.raises(SequenceNotFoundError, match="expected one in which a recording is being written"):
-        GrowingFolder(tmp_path / "nowhere")
+def test_lines_that_are_appended_or_written_anew(tmp_path):
+    poses = PosesOfImages(tmp_path / "poses.txt")
 
+    def there() -> list[int]:
+        poses.update()
+        return [i for i in range(4) if poses.is_there(Path(f"{i}.jpg"))]
 
-def test_a_long_recording_that_is_already_there_takes_few_rounds(writer, recorded):
-    shutil.copytree(recorded, writer.target, dirs_exist_ok=True)
-    lines = "".join(writer.lines)
-    for i in range(6, 150):
-        for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
-            (writer.target / kind / f"{i:06d}.{suffix}").symlink_to(recorded / kind / f"{i % 6:06d}.{suffix}")
-    (writer.target / "poses.txt").write_text(lines * 25)
-    source = follow(writer, idle_s=1.0)
-    assert indices(everything(source)) == list(range(150))
-    assert writer.waits < 20
-
-
-def test_a_writer_in_another_thread(writer, recorded):
-    """Real time: images are written in four pieces, poses after their frame."""
-    pieces = 4
-
-    def write_slowly():
-        writer.camera()()
-        for i in range(4):
-            for name in (f"rgb/{i:06d}.jpg", f"depth/{i:06d}.png"):
-                data = (recorded / name).read_bytes()
-                with (writer.target / name).open("wb") as file:
-                    for k in range(pieces):
-                        file.write(data[k * len(data) // pieces : (k + 1) * len(data) // pieces])
-                        file.flush()
-                        time.sleep(0.01)
-            time.sleep(0.02)
-            writer.pose(i)()
-        writer.stop()
-
-    thread = threading.Thread(target=write_slowly)
-    thread.start()
-    found = everything(GrowingFolder(writer.target, poll_s=0.01, idle_s=20))
-    thread.join(5)
-    assert indices(found) == [0, 1, 2, 3]
-
-
-def test_appended_lines(tmp_path):
-    lines = AppendedLines(tmp_path / "poses.txt")
-    assert not lines.update()
-    lines.path.write_text("# x y\na\n\nb\nc")
-    assert lines.update()
-    assert (lines.take(0), lines.take(1), lines.take(2)) == ("a", "b", None)
-    with lines.path.open("a") as file:
+    poses.first_image = 0
+    assert there() == []
+    poses.path.write_text("# x y\na\n\nb\nc")
+    assert there() == [0, 1]
+    with poses.path.open("a") as file:
         file.write("c\nd\n")
-    lines.update()
-    assert (lines.take(2), lines.take(3), lines.take(1)) == ("cc", "d", None)
-    lines.path.write_text("A\nB\n")  # written anew, shorter
-    lines.update()
-    assert lines.n_lines == 2
-    assert lines.take(3) is None
-    with lines.path.open("a") as file:
-        file.write("C\nD")
-    lines.update()
-    assert lines.take(3) is None
-    lines.update(final=True)
-    assert lines.take(3) == "D"
+    assert there() == [0, 1, 2, 3]
+    poses.path.write_text("A\nB\nC")
+    assert there() == [0, 1]
+    assert not poses.update(final=True)
+    assert there() == [0, 1, 2]

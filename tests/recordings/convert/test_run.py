@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.cli import main
-from gsfusion_nb.data import SequenceError, SequenceNotFoundError
+from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.readers import folder
-from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format, known_formats
+from gsfusion_nb.recordings.convert import ConvertOptions, convert
 from gsfusion_nb.recordings.convert.run import _Conversion
 
 
@@ -136,35 +136,12 @@ def test_intrinsics_of_the_user(tmp_path, takes, scan, text):
     takes.check(tmp_path / "out")
 
 
-@pytest.mark.parametrize(
-    ("given", "pattern"), [("1 2 3", r"got 3 numbers"), ("nowhere.txt", r"nowhere\.txt does not exist")]
-)
-def test_bad_intrinsics(tmp_path, scan, given, pattern):
-    with pytest.raises(SequenceError, match=pattern):
-        convert(scan, tmp_path / "out", options=ConvertOptions(intrinsics=given))
-
-
 def test_other_proportions_are_refused(tmp_path, takes, scan):
     (scan / "camera_intrinsic.json").write_text(
         '{"width": 640, "height": 360, "intrinsic_matrix": [500, 0, 0, 0, 500, 0, 320, 180, 1]}'
     )
     with pytest.raises(SequenceError, match=r"0\.png is 60x44, but its camera is 640x360, of other proportions"):
         convert(scan, tmp_path / "out")
-
-
-def test_unknown_things(tmp_path, takes, scan):
-    with pytest.raises(SequenceNotFoundError, match=r"nowhere does not exist; expected the file or folder"):
-        convert(tmp_path / "nowhere", tmp_path / "out")
-    (tmp_path / "notes").mkdir()
-    with pytest.raises(SequenceError, match=r"is in no known format; looked for ros: a \.bag"):
-        detect_format(tmp_path / "notes")
-    with pytest.raises(KeyError, match="replica"):
-        convert(scan, tmp_path / "out", format="replica")
-    with pytest.raises(SequenceError, match="give T_cam_body or its inverse T_body_cam, not both"):
-        ConvertOptions(T_cam_body="a", T_body_cam="b")
-    with pytest.raises(ValueError, match="every must be between 1"):
-        ConvertOptions(every=0)
-    assert next(iter(known_formats())) == "ros"
 
 
 def test_command(tmp_path, takes, scan, capsys):

@@ -4,13 +4,11 @@ import json
 
 import cv2
 import numpy as np
-import pytest
 import torch
 
 from gsfusion_nb.data.lens import CameraModel
 from gsfusion_nb.data.readers import scannetpp
 from gsfusion_nb.recordings.convert.scannetpp_scene import HalfSizePinhole, mesh_in_transforms_world, prepare_scene
-from gsfusion_nb.recordings.fetch import FetchError
 from gsfusion_nb.types import Camera, Mesh
 
 HALF_SIZE_M = np.array([2.0, 1.5, 2.5])
@@ -109,20 +107,6 @@ def test_undistorted_scene(tmp_path, box):
     sequence = scannetpp(tmp_path / "new")
     assert sequence.camera == Camera(width=96, height=64, fx=40.0, fy=40.5, cx=48.0, cy=32.0)
     check(sequence, box)
-
-
-def test_missing_parts(tmp_path, box):
-    scene = write_copy(tmp_path / "scene", box)
-    lists = scene / "dslr/train_test_lists.json"
-    lists.write_text(json.dumps({"train": ["DSC09999.JPG"], "test": []}))
-    with pytest.raises(FetchError, match=r"has no pose for DSC09999\.JPG"):
-        prepare_scene(scene, box_mesh(), tmp_path / "new")
-    lists.write_text(json.dumps({"train": [], "test": []}))
-    with pytest.raises(FetchError, match="lists no pictures"):
-        prepare_scene(scene, box_mesh(), tmp_path / "new")
-    (scene / "dslr/resized_images").rename(scene / "dslr/elsewhere")
-    with pytest.raises(FetchError, match=r"holds neither nerfstudio/transforms\.json with resized_images/ nor"):
-        prepare_scene(scene, box_mesh(), tmp_path / "new")
 
 
 def test_the_mesh_is_turned_not_mirrored():

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError, SequenceNotFoundError
+from gsfusion_nb.data import SequenceError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, read_trajectory
 
@@ -66,19 +66,6 @@ def test_formats_and_interpolation(tmp_path, write):
     assert trajectory.pose_at(11.01) is None
 
 
-def test_gap(tmp_path):
-    (tmp_path / "p.txt").write_text(tum(ROWS))
-    assert read_trajectory(tmp_path / "p.txt", max_gap_s=0.9).pose_at(10.5) is None
-
-
-def test_unix_times_keep_their_precision(tmp_path):
-    rows = [(1403636579.763555584 + 0.05 * i, 0.05 * i, 0, 0, 0, 0, 0, 1) for i in range(3)]
-    (tmp_path / "p.csv").write_text(okvis(rows))
-    T = read_trajectory(tmp_path / "p.csv").pose_at(rows[1][0] + 0.01)
-    assert T is not None
-    assert float(T[0, 3]) == pytest.approx(0.06, abs=1e-5)
-
-
 def test_lost_poses_are_left_out(tmp_path):
     (tmp_path / "p.txt").write_text(tum([ROWS[0], (10.5, *[math.nan] * 7), ROWS[1]]))
     trajectory = read_trajectory(tmp_path / "p.txt")
@@ -99,14 +86,6 @@ def test_lost_poses_are_left_out(tmp_path):
 def test_bad_files(tmp_path, text, pattern):
     (tmp_path / "p.txt").write_text(text)
     with pytest.raises(SequenceError, match=r"p\.txt.*" + pattern):
-        read_trajectory(tmp_path / "p.txt")
-
-
-def test_missing_and_binary_files(tmp_path):
-    with pytest.raises(SequenceNotFoundError, match=r"nowhere\.txt does not exist"):
-        read_trajectory(tmp_path / "nowhere.txt")
-    (tmp_path / "p.txt").write_bytes(b"\xff\xfe\x80\x81")
-    with pytest.raises(SequenceError, match=r"p\.txt is not a text file"):
         read_trajectory(tmp_path / "p.txt")
 
 
@@ -142,15 +121,6 @@ def test_frames_outside_and_in_gaps_are_dropped_and_counted(tmp_path, takes):
     report = convert(tmp_path, tmp_path / "b", options=replace(options, max_gap_s=0.15, time_offset_s=0.05))
     assert report.frames == 1  # 0.05 lies before, 0.25 in a step of 0.1 s, 0.45 in one of 0.17 s, 0.65 behind
     assert report.dropped == {"the trajectory has no pose around its time": 3}
-
-
-def test_no_overlap_names_both_times(tmp_path, takes):
-    options = tum_folder(tmp_path, takes)
-    (tmp_path / "p.txt").write_text(tum(ROWS))
-    with pytest.raises(
-        SequenceError, match=r"the trajectory spans 10\.000 to 11\.000 s, the first frame is at 17000000"
-    ):
-        convert(tmp_path, tmp_path / "out", options=options)
 
 
 def test_times_that_are_repeated_are_named(tmp_path):

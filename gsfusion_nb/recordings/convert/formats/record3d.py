@@ -25,7 +25,6 @@ from ....data.recorded.files import number, table
 from ....data.recorded.images import MAX_PIXELS, read_image_bytes
 from ....data.recorded.poses import matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from ....errors import shown
 from ....foreign import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, metres, with_colour
@@ -92,12 +91,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     )
 
 
-_LEAST_BLOCK_BYTES = 20_000
-"""Unpacked, of all but the last blocks: Apple's encoder ends one after 10,000 matches or 40,000 literals."""
-
-
 def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> bytes:
     """Content of an LZFSE stream of at most ``at_most`` bytes; uncompressed blocks need no library.
+
+    The function ``decompress`` of pyliblzfse has no limit, so the decoder inside it is called. Only where it cannot be
+    reached, because the library exports no names (Windows), is there no limit.
 
     Raises:
         SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError: it is damaged.
@@ -117,53 +115,18 @@ def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> b
         raise SequenceError(
             f"{source} is packed with Apple's LZFSE, which needs the package pyliblzfse: pip install pyliblzfse"
         ) from None
-    size, blocks = _claimed_size(data, source)
-    if size > at_most or blocks > 2 + size // _LEAST_BLOCK_BYTES:
-        raise BadFrameError(f"{source} claims {size} bytes in {blocks} blocks; expected at most {at_most} bytes")
-    with parsing(source, "an LZFSE stream", BadFrameError):
-        content = _unpacked(liblzfse, data, size)
-    if len(content) != size:
-        more = "more than the" if len(content) > size else f"{len(content)} of"
-        raise BadFrameError(f"{source} is damaged: LZFSE unpacks {more} {size} bytes")
-    return content
-
-
-def _unpacked(liblzfse: Any, data: bytes, size: int) -> bytes:
-    """At most ``size`` + 1 bytes of the content, whatever the blocks hold.
-
-    The package's own ``decompress`` has no limit, so the decoder inside it is called. Where it cannot be reached (the
-    library exports no names, as on Windows), ``decompress`` is: blocks that lie may then unpack to 24 MB each.
-    """
     try:
         decode = ctypes.CDLL(liblzfse.__file__).lzfse_decode_buffer
     except (AttributeError, OSError):
-        return liblzfse.decompress(data)
+        with parsing(source, "an LZFSE stream", BadFrameError):
+            return liblzfse.decompress(data)
     decode.restype = ctypes.c_size_t
-    room = ctypes.create_string_buffer(size + 1)
-    n = decode(room, ctypes.c_size_t(size + 1), data, ctypes.c_size_t(len(data)), None)
-    return room.raw[:n]
-
-
-def _claimed_size(data: bytes, source: str) -> tuple[int, int]:
-    """Unpacked bytes and number of blocks, as the blocks' headers say (lzfse_internal.h of Apple's lzfse 1.0)."""
-    at = size = blocks = 0
-    while data[at : at + 4] != b"bvx$":
-        head = data[at : at + 32]
-        kind, blocks = head[:4], blocks + 1
-        if len(head) < 12 or (kind == b"bvx2" and len(head) < 32):
-            raise BadFrameError(f"{source} is truncated: an LZFSE stream ends with the bytes bvx$")
-        n, payload = struct.unpack_from("<II", head, 4)
-        size += n
-        if kind == b"bvx-":
-            at += 8 + n
-        elif kind == b"bvxn":
-            at += 12 + payload
-        elif kind == b"bvx2":
-            literals, matches, states = struct.unpack_from("<QQQ", head, 8)
-            at += max(32, states & 0xFFFFFFFF) + (literals >> 20 & 0xFFFFF) + (matches >> 40 & 0xFFFFF)
-        else:
-            raise BadFrameError(f"{source} holds an unknown LZFSE block {shown(kind)}; expected bvx-, bvxn or bvx2")
-    return size, blocks
+    content = np.empty(at_most + 1, np.uint8)  # takes no memory before it is written
+    room = content.ctypes.data_as(ctypes.c_void_p)
+    n = decode(room, ctypes.c_size_t(at_most + 1), data, ctypes.c_size_t(len(data)), None)
+    if not 0 < n <= at_most:
+        raise BadFrameError(f"{source} is damaged, or unpacks to more than {at_most} bytes; expected an LZFSE stream")
+    return content[:n].tobytes()
 
 
 def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source: str) -> RgbdImages:

@@ -10,7 +10,6 @@ import contextlib
 import io
 import os
 import re
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -27,7 +26,6 @@ from ....data.recorded.poses import interpolate_rows, matrices
 from ....data.recorded.times import associate
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....errors import shown
-from ....files import free_space
 from ....foreign import open_regular, parsing
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
@@ -139,8 +137,6 @@ def _opened(path: Path) -> Iterator[Any]:
     types.register(get_types_from_msg(_TF_MESSAGE, "tf2_msgs/msg/TFMessage"))
     for file in [folder] if folder.is_file() else sorted(folder.iterdir()):
         open_regular(file, "a file of a ROS bag").close()
-    if folder.is_dir():
-        check_packed_files(folder)
     what = "a ROS bag; if it is truncated or was not closed after recording, try 'rosbag reindex' or 'ros2 bag reindex'"
     with parsing(path, what), bounded_unpacking(), AnyReader([BagPath(folder)], default_typestore=types) as reader:
         yield reader
@@ -322,8 +318,6 @@ def _pose_lookup(bag: _Bag, options: ConvertOptions, notes: list[str]):
 
 MAX_CHUNK_BYTES = 256_000_000
 """Of one chunk unpacked; recorders begin a new one after 0.75 to 4 MB, or after one large message."""
-MAX_RATIO = 100
-"""Bytes of an unpacked file divided by those of the packed one, at most; images are about 2, text is 10."""
 _LARGE_BYTES = 1 << 20
 
 
@@ -345,27 +339,6 @@ class _BagFile(io.BufferedReader):
         if size is not None and size > _LARGE_BYTES:
             size = max(0, min(size, os.fstat(self.fileno()).st_size - self.tell()))
         return super().read(size)
-
-
-def check_packed_files(folder: Path) -> None:
-    """Raise ``SequenceError`` for a packed file of a ROS 2 bag that unpacks to more than there is room for.
-
-    rosbags unpacks the files of a bag with ``compression_mode: file`` to the folder for temporary files. Here each is
-    unpacked once before, without keeping anything.
-    """
-    free = free_space(Path(tempfile.gettempdir()))
-    for path in sorted(folder.glob("*.zstd")):
-        limit = min(free, MAX_RATIO * path.stat().st_size)
-        with open_regular(path, "a packed file of a ROS bag") as packed, parsing(path, "a file packed with zstd"):
-            unpacked, stream = 0, _zstd_module().ZstdFile(packed)
-            while block := stream.read(1 << 20):
-                unpacked += len(block)
-                if unpacked > limit:
-                    raise SequenceError(
-                        f"{path} unpacks to more than {limit / 1e6:.0f} MB, {MAX_RATIO} times its size or all the free "
-                        "space for temporary files; unpack it with zstd -d first, if it is not made to harm"
-                    )
-        free -= unpacked
 
 
 @contextlib.contextmanager
@@ -412,15 +385,11 @@ def _lz4() -> Any:
 
 
 def _zstd() -> Any:
-    return _zstd_module().ZstdDecompressor()
-
-
-def _zstd_module() -> Any:
     try:
         from compression import zstd  # pyright: ignore[reportMissingImports]
     except ImportError:
         from backports import zstd  # pyright: ignore[reportMissingImports]
-    return zstd
+    return zstd.ZstdDecompressor()
 
 
 _STREAMS: dict[str, Callable[[], Any]] = {"bz2": bz2.BZ2Decompressor, "lz4": _lz4, "zstd": _zstd}

