@@ -47,7 +47,7 @@ ALLOWED = {
     "compare/spec.py": "plain values of its own, source files of this package, and bytes that only go into a hash",
     "compare/executors.py": "a picture it has just drawn",
     "data/recorded/images.py": "decodes after the header was looked at",
-    "data/room/cache.py": "pictures of its own, from bytes of a limited size",
+    "data/room/scene.py": "pictures of its own, from bytes of a limited size",
     "recordings/convert/recording.py": "an array whose header was looked at, from bytes of a limited size",
     "compare/run_all.py": "a picture it has just drawn",
     "recordings/fetch.py": "downloads, a lock of its own, and unpacking into a new folder within a limit",

@@ -4,11 +4,11 @@ Anything with ``__len__``, ``__getitem__``, ``pose``, ``camera`` and ``name`` is
 decoded when asked for; nothing is kept in memory.
 """
 
+from .adjust.repair import OpenedSequence as OpenedSequence
+from .adjust.repair import SequenceView as SequenceView
+from .adjust.repair import apply_options as apply_options
 from .adjust.repair import repaired as repaired
 from .adjust.resize import resize_frame as resize_frame
-from .adjust.select import OpenedSequence as OpenedSequence
-from .adjust.select import SequenceView as SequenceView
-from .adjust.select import apply_options as apply_options
 from .open import data_files as data_files
 from .open import detect_layout as detect_layout
 from .open import layouts as layouts

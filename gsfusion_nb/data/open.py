@@ -14,8 +14,7 @@ from ..config import DataConfig
 from ..files import file_hashes
 from ..foreign import noting_files
 from . import readers
-from .adjust.repair import RepairedSequence
-from .adjust.select import ExtraOf, OpenedSequence, SequenceView, apply_options
+from .adjust.repair import ExtraOf, OpenedSequence, RepairedSequence, SequenceView, apply_options
 from .recorded.files import missing
 from .recorded.recorded_sequence import Layout, RecordedSequence
 from .sequence import SequenceError, SequenceNotFoundError

@@ -18,7 +18,7 @@ from ..data.readers.seven_scenes import DEPTH_SCALE as SEVEN_SCENES_DEPTH_SCALE
 from ..data.readers.tum import DEPTH_SCALE as TUM_DEPTH_SCALE
 from ..data.readers.tum import LENSES
 from ..data.recorded.poses import write_pose_lines
-from ..data.room.image_files import write_depth, write_rgb
+from ..data.room.hand_held import write_depth, write_rgb
 from ..data.room.sequence import RoomSequence, render_room
 from ..geometry import quaternion
 from ..types import Camera

@@ -10,8 +10,7 @@ import torch
 
 from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
 from gsfusion_nb.data import BadFrameError
-from gsfusion_nb.data.room import room
-from gsfusion_nb.data.room.sdf import room_sdf
+from gsfusion_nb.data.room import room, room_sdf
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.gaussians import STABLE, state_counts
 from gsfusion_nb.geometry import se3

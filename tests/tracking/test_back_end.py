@@ -8,7 +8,7 @@ import torch
 
 from gsfusion_nb.config import BackEndConfig
 from gsfusion_nb.data.room import render_room, room
-from gsfusion_nb.data.room.trajectory import look_at
+from gsfusion_nb.data.room.camera import look_at
 from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.geometry import se3

@@ -14,7 +14,7 @@ from ...config import RepairConfig
 from ...geometry import depth_to_points, project, se3
 from ...types import Camera, Frame
 from ..sequence import BadFrameError, Sequence, SequenceError
-from .pose_conventions import reread_poses
+from .poses import reread_poses
 
 AGREES = 0.03
 """A point agrees when its depth differs by less than this share: a Kinect's noise at 4 m is 1 to 2 per cent."""

@@ -4,9 +4,9 @@ and mesh.
 World frame: z up, origin on the floor in the middle of the room, metres; 5 m along x, 4 m along y, 2.6 m high.
 """
 
+from .camera import kinect_depth as kinect_depth
 from .mesh import room_mesh as room_mesh
-from .sdf import room_sdf as room_sdf
-from .sensor import kinect_depth as kinect_depth
+from .mesh import room_sdf as room_sdf
 from .sequence import RoomSequence as RoomSequence
 from .sequence import render_room as render_room
 from .sequence import room as room

@@ -10,9 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from .interior import SIZE_M
-from .sdf import shell_distance
-from .solids import Solid
+from .solids import SIZE_M, Solid, shell_distance
 
 _VOXEL_M = 0.03
 _REACH_M = 0.3

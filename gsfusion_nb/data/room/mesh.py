@@ -1,25 +1,44 @@
-"""The room's free surface as triangles."""
+"""The true shape of the room: its exact signed distance, and its free surface as triangles."""
 
 import hashlib
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from numpy import ndarray
+from torch import Tensor
 
 from ...checks import check_positive
 from ...files import cache_folder
 from ...types import Mesh
-from .atlas import LEVELS, level_offsets
-from .cache import load, one_process_at_a_time, store
 from .interior import SHELL_SOLIDS, furnishing
-from .scene import Scene, load_scene, version
-from .sdf import signed_distance
+from .scene import LEVELS, Scene, cached, level_offsets, load_scene, version
+from .solids import signed_distance
 
 _LIFT_M = 0.002
 _CLEAR_M = 0.0012
 """A surface point counts as free if the point 2 mm above it is more than this far from every other solid."""
+
+
+def room_sdf(xyz_W: Float[Tensor, "*N 3"], *, seed: int = 0) -> Float[Tensor, "*N"]:
+    """Signed distance to the room's surfaces, metres: positive in free space, negative inside solids and outside.
+
+    Exact in free space, because it is the minimum of exact distances to convex solids and to the shell; inside solids
+    its magnitude is a lower bound on the distance to the surface of their union.
+
+    Args:
+        xyz_W: World points, metres (z up, origin on the floor in the middle). [*N, 3]
+        seed: The room's seed.
+
+    Returns:
+        Signed distance, metres, in the dtype and on the device of ``xyz_W``. [*N]
+
+    Differentiable: no.
+    """
+    points = xyz_W.detach().cpu().double().reshape(-1, 3).numpy()
+    distance = torch.from_numpy(signed_distance(furnishing(seed), points))
+    return distance.reshape(xyz_W.shape[:-1]).to(xyz_W.device, xyz_W.dtype)
 
 
 def room_mesh(resolution_m: float = 0.02, *, seed: int = 0, cache: bool = True) -> Mesh:
@@ -41,22 +60,13 @@ def room_mesh(resolution_m: float = 0.02, *, seed: int = 0, cache: bool = True) 
     """
     check_positive("resolution_m", resolution_m)
     key = hashlib.sha256(f"mesh {version()} {seed} {float(resolution_m)!r}".encode()).hexdigest()[:16]
-    path = cache_folder() / "room" / f"mesh-{key}.npz"
-    arrays = (load(path) or _stored(path, resolution_m, seed)) if cache else _made(resolution_m, seed, cache)
+    path = cache_folder() / "room" / f"mesh-{key}.npz" if cache else None
+    arrays = cached(path, lambda: _made(resolution_m, seed, cache))
     return Mesh(
         vertices_W=torch.from_numpy(arrays["xyz"]),
         faces=torch.from_numpy(arrays["faces"].astype(np.int64)),
         rgb=torch.from_numpy(arrays["rgb"]),
     )
-
-
-def _stored(path: Path, resolution_m: float, seed: int) -> dict[str, ndarray]:
-    """What ``_made`` gives, stored; of several processes one makes it."""
-    with one_process_at_a_time(path):
-        if (arrays := load(path)) is None:
-            arrays = _made(resolution_m, seed, True)
-            store(path, **arrays)
-    return arrays
 
 
 def _made(resolution_m: float, seed: int, cache: bool) -> dict[str, ndarray]:

@@ -1,22 +1,156 @@
-"""The room ready to be rendered: solids, patches, and the textured and lit atlas."""
+"""The room ready to be rendered: solids, patches, and the textured and lit atlas, with its cache on disk.
+
+The atlas holds all charts in one image with its mip levels, so that one ``cv2.remap`` textures a whole view. Level 0
+fills the left part; level l, reduced by 2^l, is in the column to its right. Every chart is surrounded by at least
+``GUTTER`` texels that repeat (or, around a cone or ellipsoid, wrap) its border, in a cell aligned to 2^LEVELS: half a
+texel of the coarsest level, which is what bilinear lookups reach, so no level mixes neighbouring charts.
+"""
 
 import functools
 import hashlib
+import io
 import logging
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy import ndarray
 
-from ...files import cache_folder
-from . import atlas as atlas_
-from .cache import load, one_process_at_a_time, store
+from ...files import atomic_file, cache_folder
+from ...foreign import read_bytes
 from .interior import SHELL_SOLIDS, interior
 from .lighting import DistanceGrid, irradiance
-from .patches import CurvedPatch, FlatPatches, compile_patches
+from .raycast import CurvedPatch, FlatPatches, compile_patches
 from .solids import Paint, Solid
+
+log = logging.getLogger(__name__)
+
+
+def cached(
+    path: Path | None, make: Callable[[], dict[str, ndarray]], fits: Callable[[dict[str, ndarray]], bool] = bool
+) -> dict[str, ndarray]:
+    """The arrays of the archive ``path``; made and stored where it is absent or damaged, or its arrays do not fit.
+
+    Two processes may store the same file at once: each writes its own temporary file, and the last one moved is kept.
+    Without a path nothing is stored.
+    """
+    found = _load(path) if path else None
+    if found is None or not fits(found):
+        found = make()
+        if path:
+            _store(path, found)
+    return found
+
+
+def _store(path: Path, arrays: dict[str, ndarray]) -> None:
+    """Save arrays in one archive with checksums, uint8 and uint16 ones as PNGs; failing to write is only logged."""
+    import cv2
+
+    def encoded(v: ndarray) -> ndarray:
+        is_image = v.dtype in (np.uint8, np.uint16)
+        return cv2.imencode(".png", v, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1] if is_image else v
+
+    try:
+        with atomic_file(path) as temporary:
+            np.savez(temporary, allow_pickle=False, **{k: encoded(v) for k, v in arrays.items()})
+    except OSError as e:
+        _warn_once(str(path.parent), str(e))
+
+
+@functools.cache
+def _warn_once(folder: str, reason: str) -> None:
+    log.warning("cannot write to the cache folder %s: %s", folder, reason)
+
+
+def _load(path: Path) -> dict[str, ndarray] | None:
+    """Arrays written by ``_store``; None where they are absent or damaged."""
+    import cv2
+
+    try:
+        with np.load(io.BytesIO(read_bytes(path, "cached arrays")), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        arrays = {k: cv2.imdecode(v, cv2.IMREAD_UNCHANGED) if v.dtype == np.uint8 else v for k, v in arrays.items()}
+        if any(v is None for v in arrays.values()):
+            raise ValueError("a picture is not a PNG")
+        return arrays
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, cv2.error) as e:
+        log.warning("%s is damaged and will be made again: %s", path, e)
+        return None
+
+
+LEVELS = 4
+GUTTER = 8
+WIDTH = 4096
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AtlasLayout:
+    """Position of each chart at level 0, texels."""
+
+    x: ndarray
+    y: ndarray
+    w: ndarray
+    h: ndarray
+    texel_m: ndarray
+    """Edge of a texel on the surface, metres (mean of both directions)."""
+    height: int
+    """Rows of the picture."""
+
+
+def pack(sizes_px: Sequence[tuple[int, int]], texel_m: Sequence[float]) -> AtlasLayout:
+    """Place charts of the given (width, height) in rows, tallest first."""
+    step = 2**LEVELS
+    n = len(sizes_px)
+    x, y = np.zeros(n, int), np.zeros(n, int)
+    order = sorted(range(n), key=lambda i: (-sizes_px[i][1], i))
+    shelf_y, shelf_h, cursor = 0, 0, 0
+    for i in order:
+        outer_w, outer_h = (-(-(s + 2 * GUTTER) // step) * step for s in sizes_px[i])
+        if cursor + outer_w > WIDTH:
+            shelf_y, shelf_h, cursor = shelf_y + shelf_h, 0, 0
+        shelf_h = max(shelf_h, outer_h)
+        x[i], y[i] = cursor + GUTTER, shelf_y + GUTTER
+        cursor += outer_w
+    w, h = np.array(sizes_px).T
+    return AtlasLayout(x=x, y=y, w=w, h=h, texel_m=np.array(texel_m, float), height=shelf_y + shelf_h)
+
+
+def paste(level0: ndarray, layout: AtlasLayout, i: int, picture: ndarray, wraps: bool) -> None:
+    """Write chart ``i`` and its gutter into the level-0 picture (in place)."""
+    step = 2**LEVELS
+    x, y, w, h = (int(a[i]) for a in (layout.x, layout.y, layout.w, layout.h))
+    right, bottom = (-(-(s + 2 * GUTTER) // step) * step - s - GUTTER for s in (w, h))
+    padded = np.pad(picture, ((GUTTER, bottom), (0, 0), (0, 0)), mode="edge")
+    padded = np.pad(padded, ((0, 0), (GUTTER, right), (0, 0)), mode="wrap" if wraps else "edge")
+    level0[y - GUTTER : y + h + bottom, x - GUTTER : x + w + right] = padded
+
+
+def with_mips(level0: ndarray) -> ndarray:
+    """The level-0 picture [H, WIDTH, 3] with its box-filtered mip levels beside it. [H, 1.5 WIDTH, 3]"""
+    import cv2
+
+    height = level0.shape[0]
+    out = np.zeros((height, WIDTH + WIDTH // 2, 3), np.uint8)
+    out[:, :WIDTH] = level0
+    y, level = 0, level0
+    for _ in range(LEVELS):
+        level = cv2.resize(level, (level.shape[1] // 2, level.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        out[y : y + level.shape[0], WIDTH : WIDTH + level.shape[1]] = level
+        y += level.shape[0]
+    return out
+
+
+def level_offsets(height: int) -> tuple[ndarray, ndarray]:
+    """Column and row of each level's corner in the combined picture, texels. [LEVELS + 1] each"""
+    rows = [0, 0]
+    for level in range(1, LEVELS):
+        rows.append(rows[-1] + (height >> level))
+    return np.array([0] + [WIDTH] * LEVELS, np.float32), np.array(rows, np.float32)
+
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +175,7 @@ class Scene:
 
     solids: list[Solid]
     charts: list[Chart]
-    layout: atlas_.AtlasLayout
+    layout: AtlasLayout
     flat: FlatPatches
     curved: list[CurvedPatch]
     atlas: ndarray
@@ -61,13 +195,19 @@ def load_scene(seed: int, cache: bool = True) -> Scene:
     number = {(c.solid, c.face): k for k, c in enumerate(charts)}
     flat, curved = compile_patches(solids, number)
     chart_of_patch = np.concatenate([flat.chart, [int(c.charts.max()) for c in curved]]).astype(int)
+    key = hashlib.sha256(f"atlas {version()} {seed}".encode()).hexdigest()[:16]
+    level0 = cached(
+        cache_folder() / "room" / f"atlas-{key}.npz" if cache else None,
+        lambda: {"atlas": _painted(solids, charts, layout, seed)},
+        lambda found: found["atlas"].shape == (layout.height, WIDTH, 3),
+    )["atlas"]
     return Scene(
         solids=solids,
         charts=charts,
         layout=layout,
         flat=flat,
         curved=curved,
-        atlas=atlas_.with_mips(_baked(solids, charts, layout, seed, cache)),
+        atlas=with_mips(level0),
         texel_of_patch=layout.texel_m[chart_of_patch],
         gloss_of_patch=np.array([charts[k].paint.gloss for k in chart_of_patch], np.float32),
     )
@@ -80,44 +220,23 @@ def version() -> str:
     return f"{SCENE_VERSION} opencv {cv2.__version__}"
 
 
-def _lay_out(solids: Sequence[Solid], charts: Sequence[Chart]) -> atlas_.AtlasLayout:
+def _lay_out(solids: Sequence[Solid], charts: Sequence[Chart]) -> AtlasLayout:
     sizes, texels = [], []
     for chart in charts:
         size_m = solids[chart.solid].face_size_m(chart.face)
-        w, h = (int(np.clip(round(s / chart.paint.texel_m), 4, atlas_.WIDTH // 2)) for s in size_m)
+        w, h = (int(np.clip(round(s / chart.paint.texel_m), 4, WIDTH // 2)) for s in size_m)
         sizes.append((w, h))
         texels.append(0.5 * (size_m[0] / w + size_m[1] / h))
-    return atlas_.pack(sizes, texels)
+    return pack(sizes, texels)
 
 
-def _baked(solids, charts, layout: atlas_.AtlasLayout, seed: int, cache: bool) -> ndarray:
-    """The lit level-0 picture, from the cache where it is there; of several processes one computes it."""
-    if not cache:
-        return _painted(solids, charts, layout, seed)
-    key = hashlib.sha256(f"atlas {version()} {seed}".encode()).hexdigest()[:16]
-    path: Path = cache_folder() / "room" / f"atlas-{key}.npz"
-    if (found := _stored(path, layout)) is not None:
-        return found
-    with one_process_at_a_time(path):
-        if (found := _stored(path, layout)) is not None:
-            return found
-        log.info("computing textures and lighting of the room; takes a few seconds, only once")
-        level0 = _painted(solids, charts, layout, seed)
-        store(path, atlas=level0)
-    return level0
-
-
-def _stored(path: Path, layout: atlas_.AtlasLayout) -> ndarray | None:
-    found = load(path)
-    return found["atlas"] if found is not None and found["atlas"].shape == (layout.height, atlas_.WIDTH, 3) else None
-
-
-def _painted(solids, charts, layout: atlas_.AtlasLayout, seed: int) -> ndarray:
-    level0 = np.zeros((layout.height, atlas_.WIDTH, 3), np.uint8)
+def _painted(solids, charts, layout: AtlasLayout, seed: int) -> ndarray:
+    log.info("computing textures and lighting of the room; takes a few seconds, only once")
+    level0 = np.zeros((layout.height, WIDTH, 3), np.uint8)
     light = _light_maps(solids, charts)
     for k, chart in enumerate(charts):
         picture = _picture(chart.paint, int(layout.w[k]), int(layout.h[k]), layout.texel_m[k], [seed, 2, k])
-        atlas_.paste(level0, layout, k, _lit(picture, chart.paint, light[k]), chart.face in ("side", "skin"))
+        paste(level0, layout, k, _lit(picture, chart.paint, light[k]), chart.face in ("side", "skin"))
     return level0
 
 

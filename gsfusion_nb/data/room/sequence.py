@@ -17,12 +17,9 @@ from ...files import cache_folder
 from ...geometry import backproject, pixel_grid, se3
 from ...types import Camera, Frame, Mesh
 from . import raycast, shade
-from .cache import load, store
-from .imperfect import disturbed_poses, exposed, exposure_gains, without_depth
+from .camera import TRAJECTORIES, disturbed_poses, exposed, exposure_gains, kinect_depth, walk, without_depth
 from .mesh import room_mesh
-from .scene import load_scene, version
-from .sensor import kinect_depth
-from .trajectory import TRAJECTORIES, walk
+from .scene import cached, load_scene, version
 
 _FOCAL_PER_WIDTH = 0.65
 """A horizontal field of view of 75 degrees."""
@@ -121,11 +118,7 @@ class RoomSequence:
 
     def __getitem__(self, i: int) -> Frame:
         i = self._index(i)
-        images = load(self._path(i)) if self.cache else None
-        if images is None or not self._fits(images):
-            images = self._render(i)
-            if self.cache:
-                store(self._path(i), **images)
+        images = cached(self._path(i) if self.cache else None, lambda: self._render(i), self._fits)
         depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
         rgb, lost = images["rgb"], self._without_depth(depth_m, i)
         if self.noise == "kinect":

@@ -7,10 +7,9 @@ neighbouring pixels belong to different patches, the four points are intersected
 import numpy as np
 from numpy import ndarray
 
-from .atlas import LEVELS, level_offsets
 from .lighting import LIGHTS
 from .raycast import Hits, RoomView
-from .scene import Scene
+from .scene import LEVELS, Scene, level_offsets
 
 _POINTS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]], np.float32)
 """Sample points in a pixel, from its centre, pixels."""

@@ -1,15 +1,23 @@
-"""The convex solids the room is made of: shape, placement, exact signed distance, and the charts on their faces.
+"""The convex solids the room is made of: shape, placement, exact signed distance, and the charts on their faces; short
+constructors of painted ones.
 
 The local frame of a solid is at its centre; a local point p is at ``R @ p + t`` in the world. A face has a paint and
 chart coordinates (u to the right, v down, both 0..1, seen from outside with local +z up), so that text is never
 mirrored.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
+
+SIZE_M = (5.0, 4.0, 2.6)
+"""Of the room."""
+
+Colour = tuple[int | float, int | float, int | float]
+Vector = Sequence[int | float] | ndarray
 
 BOX_FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 
@@ -20,7 +28,7 @@ class Paint:
 
     draw: Callable[[int, int, float, np.random.Generator], ndarray] | None = None
     """(width_px, height_px, texel_m, rng) -> uint8 [height_px, width_px, 3] albedo; None for the plain ``colour``."""
-    colour: tuple[int | float, int | float, int | float] = (0.8, 0.8, 0.8)
+    colour: Colour = (0.8, 0.8, 0.8)
     """Albedo as an sRGB value, 0..1, if nothing is drawn."""
     texel_m: float = 0.03
     """Edge of a texel on the surface, metres."""
@@ -251,3 +259,105 @@ def rotation(yaw_deg: int | float = 0.0, pitch_deg: int | float = 0.0, roll_deg:
     Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     return Rz @ Ry @ Rx
+
+
+_POINTS_AT_ONCE = 4096
+
+
+def shell_distance(xyz_W: ndarray) -> ndarray:
+    """Distance to the nearest of floor, walls and ceiling; negative outside the room. [N, 3] -> [N]"""
+    half = 0.5 * np.array(SIZE_M)
+    return (half - np.abs(xyz_W - [0.0, 0.0, half[2]])).min(-1)
+
+
+def signed_distance(
+    furnishing: Sequence[Solid], xyz_W: ndarray, owner: ndarray | None = None, *, at_most: float = np.inf
+) -> ndarray:
+    """Distance to the union of shell and ``furnishing``: the minimum over convex solids, exact in free space. [N]
+
+    With ``owner`` [N], each point leaves out the solid of that number (-1: the shell). Larger distances than
+    ``at_most`` become ``at_most``; a small value saves looking at distant solids.
+    """
+    out = np.empty(len(xyz_W))
+    centres = np.array([s.t for s in furnishing])
+    boxes = np.array([np.abs(s.R) @ s.extent for s in furnishing])
+    radii = np.array([np.linalg.norm(s.extent) for s in furnishing])
+    for start in range(0, len(xyz_W), _POINTS_AT_ONCE):
+        part = slice(start, start + _POINTS_AT_ONCE)
+        xyz = xyz_W[part]
+        best = shell_distance(xyz)
+        if owner is not None:
+            best[owner[part] == -1] = np.inf
+        best = np.minimum(best, at_most)
+        gap = np.maximum(xyz.min(0) - centres - boxes, centres - boxes - xyz.max(0)).max(1)
+        lower = np.where(gap > 0, gap, -np.inf)  # a solid may be this close to the box around the points
+        for i in np.argsort(lower):
+            if lower[i] > best.max():
+                break
+            offset, reach = xyz - centres[i], (best + radii[i]).clip(min=0)
+            near = np.einsum("nk,nk->n", offset, offset) < reach * reach
+            if owner is not None:
+                near &= owner[part] != i
+            rows = np.flatnonzero(near)
+            if rows.size:
+                solid = furnishing[i]
+                best[rows] = np.minimum(best[rows], solid.sdf(solid.to_local(xyz[rows])))
+        out[part] = best
+    return out
+
+
+def plain(*colour: int | float, texel_m: float = 0.02, gloss: float = 0.0, glow: float = 0.0) -> Paint:
+    """One colour."""
+    r, g, b = colour
+    return Paint(colour=(r, g, b), texel_m=texel_m, gloss=gloss, glow=glow)
+
+
+def drawn(
+    texel_m: float, draw: Callable[..., ndarray], *options, gloss: float = 0.0, glow: float = 0.0, **more
+) -> Paint:
+    """A texture ``draw(width_px, height_px, texel_m, rng, *options)``, one of ``drawings``."""
+    return Paint(draw=lambda *size: draw(*size, *options, **more), texel_m=texel_m, gloss=gloss, glow=glow)
+
+
+def _painted(
+    kind: type[Solid], paint: Paint, hide: str = "", special: Mapping[str, Paint] | None = None, **shape
+) -> Solid:
+    """A solid with ``paint`` on its faces, except those that ``special`` paints, and those in ``hide``: never seen."""
+    faces: Any = kind.faces
+    return kind(paints={f: (special or {}).get(f, paint) for f in faces if f not in hide.split()}, **shape)
+
+
+def box(centre: Vector, size: Vector, paint: Paint, *, radius: float = 0.0, turn: Vector = (0, 0, 0), **more) -> Solid:
+    """A box of full ``size``; for ``more`` see ``_painted``."""
+    half = 0.5 * np.array(size, float)
+    return _painted(Box, paint, t=np.array(centre, float), R=rotation(*turn), half=half, radius=radius, **more)
+
+
+def cone(base: Vector, height: float, radii: Vector, paint: Paint, *, turn: Vector = (0, 0, 0), **more) -> Solid:
+    """A capped cone standing on ``base``: ``radii`` at the bottom and at the top."""
+    R, half = rotation(*turn), 0.5 * height
+    t = np.array(base, float) + R[:, 2] * (0.5 * height)
+    return _painted(Frustum, paint, t=t, R=R, half_height=half, r_bottom=radii[0], r_top=radii[1], **more)
+
+
+def rod(p: Vector, q: Vector, radius: float, paint: Paint, hide: str = "") -> Solid:
+    """A cylinder from ``p`` to ``q``."""
+    start, end = np.array(p, float), np.array(q, float)
+    length = float(np.linalg.norm(end - start))
+    z = (end - start) / length
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    t, R, half = 0.5 * (start + end), np.stack([x, np.cross(z, x), z], 1), 0.5 * length
+    return _painted(Frustum, paint, hide, t=t, R=R, half_height=half, r_bottom=radius, r_top=radius)
+
+
+def ball(centre: Vector, semi: float | Vector, paint: Paint, *, turn: Vector = (0, 0, 0), **more) -> Solid:
+    """A sphere, or an ellipsoid with three semi-axes."""
+    axes = np.full(3, semi) if isinstance(semi, (int, float)) else np.array(semi, float)
+    return _painted(Ellipsoid, paint, t=np.array(centre, float), R=rotation(*turn), semi=axes, **more)
+
+
+def placed(solids: Sequence[Solid], at: Vector, yaw_deg: int | float = 0.0) -> list[Solid]:
+    """A piece of furniture rotated about z and moved; without rotation its front faces -y."""
+    R, t = rotation(yaw_deg), np.array(at, float)
+    return [replace(s, R=R @ s.R, t=R @ s.t + t) for s in solids]

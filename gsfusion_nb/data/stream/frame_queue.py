@@ -12,8 +12,8 @@ from typing import Any, Literal
 from ...checks import check_name
 from ...config import DataConfig
 from ...types import Frame
+from ..adjust.repair import resized_camera, within_depth
 from ..adjust.resize import resize_frame
-from ..adjust.select import resized_camera, within_depth
 from ..sequence import BadFrameError, Sequence, SequenceError
 
 Policy = Literal["all", "queue", "latest", "drop"]

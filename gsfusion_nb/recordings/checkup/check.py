@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...config import DataConfig, RepairConfig
-from ...data.adjust.select import apply_options
+from ...data.adjust.repair import apply_options
 from ...data.open import detect_layout, known_layouts, open_sequence
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence

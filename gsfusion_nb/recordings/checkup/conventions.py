@@ -14,7 +14,7 @@ from torch import Tensor
 from ...config import RepairConfig
 from ...config.repair import AXES, NAMED_AXES
 from ...data.adjust.depth_agreement import DepthConsistency, DepthPair, depth_consistency, depth_pair, relative_under
-from ...data.adjust.pose_conventions import axis_matrix
+from ...data.adjust.poses import axis_matrix
 from .sample import Sample
 
 GAPS = (1, 2, 4, 8, 16, 30)

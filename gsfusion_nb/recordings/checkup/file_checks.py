@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import RepairConfig
-from ...data.adjust.pose_conventions import raw_matrices
+from ...data.adjust.poses import raw_matrices
 from ...data.recorded.images import read_depth, read_rgb
 from ...data.recorded.poses import MAX_RIGIDITY_ERROR
 from ...data.recorded.recorded_sequence import RecordedSequence

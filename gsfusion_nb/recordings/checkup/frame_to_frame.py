@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from ...config import RepairConfig
-from ...data.adjust.pose_conventions import reread_poses
+from ...data.adjust.poses import reread_poses
 from ...geometry import se3
 from .geometry_fit import CalibrationCorrection, FitData, reproject
 from .sample import Sample

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...data.adjust.depth_agreement import AGREES, relative_poses
-from ...data.adjust.pose_conventions import pose_between, reread_poses
+from ...data.adjust.poses import pose_between, reread_poses
 from ...types import Camera
 from .sample import Sample
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...data.adjust.depth_agreement import relative_poses, thinned
-from ...data.adjust.pose_conventions import reread_poses
+from ...data.adjust.poses import reread_poses
 from ...data.lens import warp_depth
 from ...data.sequence import BadFrameError, Sequence
 from ...drawing.curves import MUTED, PALETTE, curve_figure, figure_svg

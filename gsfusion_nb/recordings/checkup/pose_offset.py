@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ...data.adjust.depth_agreement import relative_poses
-from ...data.adjust.pose_path import PosePath, times_of
+from ...data.adjust.poses import PosePath, times_of
 from ...data.sequence import Sequence
 from ...errors import SequenceError
 from ...geometry import se3

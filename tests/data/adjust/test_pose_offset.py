@@ -7,7 +7,7 @@ import torch
 
 from gsfusion_nb.config import DataConfig, RepairConfig
 from gsfusion_nb.data import SequenceError, apply_options, repaired
-from gsfusion_nb.data.adjust.pose_path import PosePath
+from gsfusion_nb.data.adjust.poses import PosePath
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.checkup.pose_offset import estimate_pose_offset, offset_of_turns

@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from gsfusion_nb.data import resize_frame
-from gsfusion_nb.data.adjust.resize import nearest_source
 from gsfusion_nb.types import Camera, Frame
 
 
@@ -47,15 +46,6 @@ def test_area_average_and_nearest_depth(generator, size):
             weights.append(overlap / overlap.sum(dim=1, keepdim=True))
         expected = torch.einsum("ij,jkc,lk->ilc", weights[0], f.rgb, weights[1])
         assert torch.allclose(out.rgb, expected, atol=2e-6)
-
-
-@pytest.mark.parametrize(("n", "m"), [(3, 9), (4, 4), (5, 10), (10, 5), (213, 640)])
-def test_nearest_source(n, m):
-    got = nearest_source(n, m)
-    off = ((torch.arange(n, dtype=torch.float64) + 0.5) * m / n - (got + 0.5)).abs()
-    assert float(off.max()) <= 0.5
-    assert int(got.min()) >= 0
-    assert int(got.max()) < m
 
 
 def test_same_size_and_input_untouched(generator):

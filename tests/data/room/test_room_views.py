@@ -1,14 +1,15 @@
-"""Rendered views of the room, against closed forms, sphere tracing, and one another."""
+"""Rendered views of the room, against closed forms, sphere tracing, and one another; distances and charts of its
+solids, against by-hand values and brute force."""
 
 import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data.room import RoomSequence, render_room, room_sdf
+from gsfusion_nb.data.room import render_room, room_sdf
+from gsfusion_nb.data.room.camera import look_at
 from gsfusion_nb.data.room.drawings import text_poster
 from gsfusion_nb.data.room.interior import interior
-from gsfusion_nb.data.room.scene import load_scene
-from gsfusion_nb.data.room.trajectory import look_at
+from gsfusion_nb.data.room.solids import ball, box, cone, face_axes, plain
 from gsfusion_nb.geometry import depth_to_points, pixel_grid, project, rays, se3
 from gsfusion_nb.types import Camera
 
@@ -93,10 +94,9 @@ def test_text_is_not_mirrored():
     import cv2
 
     lines = ["every pixel is a ray", "every voxel an average", "every splat a guess", "keep what is seen twice"]
-    draw = text_poster(
-        "MAP THE ROOM", [*lines, "forget the rest"], (0.95, 0.93, 0.86), (0.13, 0.15, 0.2), (0.75, 0.25, 0.15)
-    )
-    drawn = cv2.resize(draw(306, 444, 0.0018, np.random.default_rng(0)), (55, 80), interpolation=cv2.INTER_AREA)
+    colours = ((0.95, 0.93, 0.86), (0.13, 0.15, 0.2), (0.75, 0.25, 0.15))
+    poster = text_poster(306, 444, 0.0018, None, "MAP THE ROOM", [*lines, "forget the rest"], *colours)
+    drawn = cv2.resize(poster, (55, 80), interpolation=cv2.INTER_AREA)
     camera = Camera(width=55, height=80, fx=100.0, fy=100.0, cx=27.5, cy=40.0)
     rgb, _ = render_room(camera, pose((-2.475 + 1.0, -0.42, 1.6), (-2.5, -0.42, 1.6)))
     seen, wanted = rgb.mean(-1).numpy(), drawn.mean(-1)
@@ -105,24 +105,66 @@ def test_text_is_not_mirrored():
     assert np.corrcoef(odd_seen.ravel(), odd_wanted.ravel())[0, 1] > 0.8
 
 
-def test_pose_is_checked():
-    with pytest.raises(ValueError, match="rigid"):
-        render_room(CAMERA, torch.diag(torch.tensor([2.0, 1, 1, 1])))
-
-
 def test_the_arrangement_repeats_by_seed():
     one, two, other = (interior(seed) for seed in (3, 3, 4))
     assert all(np.array_equal(a.t, b.t) and np.array_equal(a.extent, b.extent) for a, b in zip(one, two, strict=True))
     assert len(one) != len(other) or not all(np.array_equal(a.t, b.t) for a, b in zip(one, other, strict=True))
 
 
-@pytest.mark.slow
-def test_frames_repeat_by_seed():
-    frames = []
-    for seed in (1, 1, 2):
-        load_scene.cache_clear()
-        frames.append(RoomSequence(width=80, height=60, n_frames=5, cache=False, seed=seed)[2])
-    one, two, other = frames
-    assert torch.equal(one.rgb, two.rgb)
-    assert torch.equal(one.depth_m, two.depth_m)
-    assert not torch.equal(one.rgb, other.rgb)
+GREY = plain(0.5, 0.5, 0.5)
+SOLIDS = {
+    "box": box((0, 0, 0), (0.4, 0.6, 0.2), GREY),
+    "rounded box": box((0, 0, 0), (0.4, 0.6, 0.2), GREY, radius=0.05),
+    "cylinder": cone((0, 0, -0.2), 0.4, (0.1, 0.1), GREY),
+    "cone": cone((0, 0, -0.2), 0.4, (0.25, 0.1), GREY),
+    "sphere": ball((0, 0, 0), 0.2, GREY),
+    "leaf": ball((0, 0, 0), (0.12, 0.05, 0.006), GREY),
+}
+
+
+def test_distances_by_hand():
+    at = np.array([[0.5, 0.0, 0.0], [0.2, 0.3, 0.4], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(SOLIDS["box"].sdf(at), [0.3, 0.3, -0.1], atol=1e-12)
+    corner = np.array([[0.2, 0.3, 0.1]])
+    np.testing.assert_allclose(SOLIDS["rounded box"].sdf(corner), 0.05 * (np.sqrt(3) - 1), atol=1e-12)
+    np.testing.assert_allclose(SOLIDS["cylinder"].sdf(np.array([[0.4, 0, 0], [0, 0, 0.5]])), [0.3, 0.3], atol=1e-12)
+    np.testing.assert_allclose(SOLIDS["sphere"].sdf(np.array([[0.0, 0.5, 0.0]])), 0.3, atol=1e-12)
+    np.testing.assert_allclose(SOLIDS["leaf"].sdf(np.array([[0.2, 0, 0], [0, 0, 0.1]])), [0.08, 0.094], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_distance_is_that_to_the_nearest_surface_point(name):
+    solid = SOLIDS[name]
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, 241), np.linspace(0, 1, 241)))
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 3))
+    distance, brute = solid.sdf(points), np.full(40, np.inf)
+    for face in solid.faces:
+        surface, _ = solid.surface(face, u, v)
+        np.testing.assert_allclose(solid.sdf(surface), 0.0, atol=1e-9)
+        for piece in np.array_split(surface, 8):
+            gaps = np.linalg.norm(points[:, None] - piece[None], axis=-1)
+            brute = np.minimum(brute, gaps.min(1))
+    outside = distance > 0
+    assert outside.sum() > 20
+    np.testing.assert_allclose(distance[outside], brute[outside], atol=4e-4)  # brute force has gaps of 3 mm
+
+
+@pytest.mark.parametrize("name", ["rounded box", "cylinder", "cone", "sphere", "leaf"])
+def test_chart_inverts_surface(name):
+    solid = SOLIDS[name]
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.03, 0.97, 23), np.linspace(0.03, 0.97, 19)))
+    faces = solid.faces if name == "rounded box" else solid.faces[:1]
+    for number, face in enumerate(faces):
+        p, n = solid.surface(face, u, v)
+        found, u2, v2 = solid.chart(p)
+        assert (found == number).all()
+        np.testing.assert_allclose(u2, u, atol=1e-9)
+        np.testing.assert_allclose(v2, v, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(n, axis=-1), 1.0, atol=1e-12)
+        assert (solid.sdf(p + 0.001 * n) > 0.0009).all()
+
+
+def test_face_axes_are_right_handed_as_seen_from_outside():
+    for face in ("x-", "x+", "y-", "y+", "z-", "z+"):
+        right, up, normal = face_axes(face)
+        np.testing.assert_array_equal(np.cross(right, up), normal)

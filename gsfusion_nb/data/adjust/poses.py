@@ -1,4 +1,4 @@
-"""The path of a camera between the times of its poses."""
+"""Stored poses: from another convention (direction, axes, order of numbers, unit) to ours, and between their times."""
 
 from typing import Any
 
@@ -6,8 +6,87 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...geometry import se3
+from ...config import RepairConfig
+from ...geometry import quaternion, se3
 from ..sequence import SequenceError
+
+_DIRECTION = {
+    "right": (1.0, 0.0, 0.0), "left": (-1.0, 0.0, 0.0), "down": (0.0, 1.0, 0.0), "up": (0.0, -1.0, 0.0),
+    "forward": (0.0, 0.0, 1.0), "back": (0.0, 0.0, -1.0),
+}  # fmt: skip
+_ORDER = {"wxyz": [1, 2, 3, 0], "xyzw": [3, 0, 1, 2]}
+
+
+def reread_poses(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
+    """Camera-to-world poses, OpenCV axes, metres, from matrices stored in the convention of ``repair``.
+
+    In this order: order of the 16 numbers, nearest rotation, order of the quaternion, direction, axes, unit of length.
+    With the stored camera's axes, expressed in OpenCV's, as the columns of M, T_WC = T M^T; if the axes are mirrored
+    (det M = -1), so is the world, and T_WC = M T M^T.
+
+    Args:
+        stored: Matrices as they were read. [N, 4, 4]
+        repair: Which convention they follow.
+
+    Differentiable: no.
+    """
+    T = raw_matrices(stored, repair)
+    if repair.quaternions != "as_read":
+        T = _with_rotation(T, quaternion.to_matrix(quaternion.from_matrix(T[:, :3, :3])[:, _ORDER[repair.quaternions]]))
+    if repair.poses == "world_to_camera":
+        T = se3.inverse(T)
+    elif repair.poses == "rotation_inverted":
+        T = _with_rotation(T, T[:, :3, :3].transpose(1, 2))
+    M = axis_matrix(repair).to(T.dtype)
+    T = T @ M.T if torch.linalg.det(M) > 0 else M @ T @ M.T
+    if repair.translation_factor != 1:
+        T = T.clone()
+        T[:, :3, 3] *= repair.translation_factor
+    return T
+
+
+def axis_matrix(repair: RepairConfig) -> Float[Tensor, "4 4"]:
+    """M of ``reread_poses``: from the stored camera's axes to OpenCV's, float64.
+
+    Transforms from camera to camera become M T M^T, whether M mirrors or not.
+    """
+    M = torch.eye(4, dtype=torch.float64)
+    M[:3, :3] = torch.tensor([_DIRECTION[word] for word in repair.axis_words], dtype=torch.float64).T
+    return M
+
+
+def raw_matrices(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
+    """The corrections that make 16 numbers a rigid matrix: their order, and the nearest rotation (by SVD).
+
+    Matrices with NaN are not changed. A scale factor common to rotation and bottom right entry is divided out.
+    """
+    T = stored.transpose(1, 2) if repair.matrices == "column_major" else stored
+    if repair.nearest_rotation:
+        T = T.clone()
+        known = torch.isfinite(T).all(dim=(1, 2))
+        U, _, V = torch.linalg.svd(T[known][:, :3, :3])
+        mirrored = torch.linalg.det(U @ V) < 0
+        U = U.clone()
+        U[mirrored, :, 2] *= -1
+        T[known, :3, :3] = U @ V
+        T[known, 3] = T.new_tensor([0.0, 0.0, 0.0, 1.0])
+    return T
+
+
+def pose_between(T_a: Float[Tensor, "*B 4 4"], T_b: Float[Tensor, "*B 4 4"], t: float) -> Float[Tensor, "*B 4 4"]:
+    """The pose at ``t`` from 0 (``T_a``) to 1 (``T_b``): linear in position, spherical in orientation."""
+    a, b = (quaternion.from_matrix(T[..., :3, :3]) for T in (T_a, T_b))
+    T = T_a.clone()
+    T[..., :3, :3] = quaternion.to_matrix(quaternion.slerp(a, b, a.new_full(a.shape[:-1], t)))
+    T[..., :3, 3] = T_a[..., :3, 3] + t * (T_b[..., :3, 3] - T_a[..., :3, 3])
+    return T
+
+
+def _with_rotation(T: Float[Tensor, "N 4 4"], R: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 4 4"]:
+    T = T.clone()
+    T[:, :3, :3] = R
+    return T
+
 
 _NEIGHBOURS = (-1, 1, 2)
 _LONGEST_GAP = 4.0
