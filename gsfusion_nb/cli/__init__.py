@@ -9,7 +9,7 @@ import tyro
 
 from ..backends import BackendUnavailable, from_environment, use_backend
 from ..config import DataConfig, gsfusion
-from ..config.option_help import parse_options
+from ..config.values import parse_options
 from ..errors import is_foreseen, unforeseen
 from . import reader_gone
 from .result import print_metrics, print_result

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ..config.option_help import parse_options
+from ..config.values import parse_options
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from typing import Annotated
 import torch
 import tyro
 
-from ..config.option_help import parse_options
+from ..config.values import parse_options
 from ..types import GaussianParams, Mesh
 
 _AS_IN_FILES = "-y"
@@ -85,7 +85,7 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     from ..config import from_dict
     from ..export import read_trajectory_tum
     from ..foreign import parsing, read_object
-    from ..mapping.over_surface import TSDF
+    from ..mapping.gps_surface import TSDF
     from ..mapping.systems import get_system
 
     folder = options.source

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from ..config.option_help import parse_options
+from ..config.values import parse_options
 
 
 @dataclass(frozen=True, kw_only=True)

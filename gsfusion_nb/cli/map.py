@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import tyro
 
 from ..backends import use_backend
-from ..seeding.rule_file import is_rule_file
+from ..seeding.rule_code import is_rule_file
 from .rerun_option import new_rerun_file, rerun_file
 from .result import print_result
 from .settings import SettingsOptions, named_values, parse

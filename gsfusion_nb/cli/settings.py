@@ -4,6 +4,7 @@ The system and the preset decide the defaults of all other options. The order of
 """
 
 import dataclasses
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -11,8 +12,8 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from ..backends import from_environment
-from ..config import SystemConfig, from_dict, replace
-from ..config.option_help import parse_options
+from ..config import SystemConfig, from_dict, replace, to_dict
+from ..config.values import EVERYDAY, leaves, parse_options, with_own_settings
 from ..errors import SequenceError, shown
 from ..foreign import parse_json, read_object, reason_of
 
@@ -77,14 +78,24 @@ def parse(options: type[O], prog: str, arguments: list[str], *, data: str = "") 
     preset = "replica"
     if data and ROOM in arguments and not _value_of(arguments, "--preset"):
         preset = ROOM if _mapped(options, prog, arguments, data) == ROOM else preset
-    return parse_options(with_settings(options, _start(arguments, preset)), prog=prog, arguments=arguments)
+    all_options = with_settings(options, _start(arguments, preset))
+    parsed = parse_options(all_options, prog=prog, arguments=arguments, everyday=EVERYDAY)
+    return dataclasses.replace(parsed, config=with_own_settings(parsed.config, _settings_in(arguments, parsed.config)))
+
+
+def _settings_in(arguments: list[str], config: SystemConfig) -> list[str]:
+    """Dotted names of the settings that were typed."""
+    typed = [a.partition("=")[0][2:].replace("-", "_") for a in arguments if a.startswith("--")]
+    typed += [re.sub(r"(^|\.)no_", r"\1", name) for name in typed]
+    known = set(leaves(to_dict(config)))
+    return [name for name in dict.fromkeys(typed) if name in known]
 
 
 def _mapped(options: type[SettingsOptions], prog: str, arguments: list[str], data: str) -> str:
     """The data to map: the first argument, or the value that belongs to no option, which only parsing finds."""
     if not arguments[0].startswith("-"):
         return arguments[0]
-    plain = [a for a in arguments if a not in ("-h", "--help")]
+    plain = [a for a in arguments if a not in ("-h", "--help", "--help-all")]
     return getattr(parse_options(with_settings(options, _start(plain, "replica")), prog=prog, arguments=plain), data)
 
 

@@ -12,7 +12,7 @@ from ..data import OpenedSequence, sequence_fingerprint
 from ..errors import SequenceError, shown
 from ..mapping import get_system, system_of
 from ..seeding import Option, SeedingRule, check_options, rule_name
-from ..seeding.rule_file import find_rule, is_rule_file, read_rule_file
+from ..seeding.rule_code import find_rule, is_rule_file, read_rule_file
 from .map_scene import Entry
 from .schedule import changed_settings
 from .spec import Budget, RunSpec, identity_of, label_of

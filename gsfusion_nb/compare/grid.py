@@ -7,7 +7,7 @@ from typing import Any
 from ..errors import SequenceError, shown
 from ..foreign import parse_json
 from ..seeding import check_options
-from ..seeding.rule_file import is_rule_file, read_rule_file
+from ..seeding.rule_code import is_rule_file, read_rule_file
 from .map_scene import Entry
 from .spec import RunSpec
 

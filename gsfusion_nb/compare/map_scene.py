@@ -22,7 +22,7 @@ from ..geometry import project, se3
 from ..mapping import Mapper, StepReport, make_mapper
 from ..runs import MappingRun
 from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_map_rule, rule_files
-from ..seeding.rule_file import rule_of_source
+from ..seeding.rule_code import rule_of_source
 from ..types import Camera, Seeds
 from ..work import PeakMemory
 from .schedule import dotted, fixed_schedule, flat_settings, with_settings

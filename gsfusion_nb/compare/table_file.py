@@ -12,7 +12,7 @@ from ..errors import SequenceError, shown
 from ..foreign import read_text
 from ..mapping import SYSTEMS
 from ..seeding import SeedingRule
-from ..seeding.rule_file import is_rule_file, read_rule_file
+from ..seeding.rule_code import is_rule_file, read_rule_file
 from .entries import RULE_CHECKS, check_size_range
 from .map_scene import Entry
 from .spec import Budget, RunSpec, identity_of, label_of

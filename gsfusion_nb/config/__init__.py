@@ -15,9 +15,10 @@ from .gsfusion import gsfusion as gsfusion
 from .gsfusion import gsfusion_fidelity as gsfusion_fidelity
 from .gsfusion import presets as presets
 from .parts import DataConfig as DataConfig
+from .parts import RepairConfig as RepairConfig
 from .parts import SeedingConfig as SeedingConfig
+from .parts import SystemConfig as SystemConfig
 from .parts import TsdfConfig as TsdfConfig
-from .repair import RepairConfig as RepairConfig
 from .rtg_slam import DiscConfig as DiscConfig
 from .rtg_slam import FinalConfig as FinalConfig
 from .rtg_slam import KeyframeConfig as KeyframeConfig
@@ -26,7 +27,6 @@ from .rtg_slam import StateConfig as StateConfig
 from .rtg_slam import WindowConfig as WindowConfig
 from .rtg_slam import rtg_slam as rtg_slam
 from .rtg_slam import rtg_slam_fidelity as rtg_slam_fidelity
-from .system import SystemConfig as SystemConfig
 from .tracking import BackEndConfig as BackEndConfig
 from .tracking import LandmarkConfig as LandmarkConfig
 from .tracking import TrackingConfig as TrackingConfig

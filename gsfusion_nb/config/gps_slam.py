@@ -9,11 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..checks import check_name, check_number
-from .fidelity import fidelity_of
 from .gsfusion import OptimConfig
-from .parts import SeedingConfig, TsdfConfig
-from .system import SystemConfig
-from .values import check_kinds, from_dict, replace
+from .parts import SeedingConfig, SystemConfig, TsdfConfig
+from .values import check_kinds, fidelity_of, from_dict, replace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,7 +250,7 @@ def gps_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
     """
     check_name("preset", preset, _GPS_SLAM)
     check_name("fidelity", fidelity, _FIDELITY)
-    config = from_dict(GpsSlamConfig, _GPS_SLAM[preset])
+    config = replace(GpsSlamConfig(), **_GPS_SLAM[preset])
     for layer in _FIDELITY[fidelity]:
         config = from_dict(GpsSlamConfig, layer, start=config)
     return replace(config, **overrides)

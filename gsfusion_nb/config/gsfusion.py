@@ -5,10 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..checks import check_name, check_number, check_positive
-from .fidelity import fidelity_of
-from .parts import TsdfConfig
-from .system import SystemConfig
-from .values import check_kinds, from_dict, replace
+from .parts import SystemConfig, TsdfConfig
+from .values import check_kinds, fidelity_of, from_dict, replace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +180,7 @@ def gsfusion(preset: str = "replica", fidelity: str = "measured", **overrides: A
     """
     check_name("preset", preset, _GSFUSION)
     check_name("fidelity", fidelity, _FIDELITY)
-    config = from_dict(GSFusionConfig, _GSFUSION[preset])
+    config = replace(GSFusionConfig(), **_GSFUSION[preset])
     for layer in _FIDELITY[fidelity]:
         config = from_dict(GSFusionConfig, layer, start=config)
     return replace(config, **overrides)

@@ -1,12 +1,127 @@
-"""Settings that several systems share: the volumetric map, seeding, the data."""
+"""Settings that several systems share, and those that every system has."""
 
+import dataclasses
+import itertools
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from ..checks import check_number, check_positive
-from .repair import RepairConfig
+from ..checks import check_name, check_number, check_positive
+from .tracking import TrackingConfig
 from .values import check_kinds
+
+_DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))
+NAMED_AXES = {
+    "opencv": "right-down-forward",
+    "opengl": "right-up-back",
+    "ros": "forward-left-up",
+    "unity": "right-up-forward",
+}
+"""Camera axes x-y-z by the name of a program that uses them; "unity" mirrors the world."""
+AXES = tuple("-".join(words) for kinds in itertools.permutations(_DIRECTIONS) for words in itertools.product(*kinds))
+"""All 48 ways to name the directions of a camera's x, y and z axes; half of them mirror the world."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepairConfig:
+    """Corrections applied while a recording is read; ``gsfusion-nb check DATA`` finds them. The defaults change
+    nothing."""
+
+    depth_factor: float = 1.0
+    """Depth is multiplied by this: 0.2 if 5000 units are a metre and 1000 were assumed."""
+    depth_kind: Literal["z", "ray"] = "z"
+    """Direction in which the stored depth is measured: "z", along the optical axis, or "ray", along the ray of each
+    pixel (some simulators)."""
+    poses: Literal["camera_to_world", "world_to_camera", "rotation_inverted"] = "camera_to_world"
+    """What the stored poses are; "rotation_inverted" means the position of the camera with the world-to-camera
+    rotation."""
+    axes: str = "opencv"
+    """Camera axes of the stored poses: opencv, opengl, ros, unity, or three words such as right-up-back."""
+    quaternions: Literal["as_read", "wxyz", "xyzw"] = "as_read"
+    """Order in which the file stores a quaternion, if the reader assumed the other one; "as_read" changes nothing."""
+    matrices: Literal["row_major", "column_major"] = "row_major"
+    """Order in which the file stores the 16 numbers of a matrix."""
+    nearest_rotation: bool = False
+    """Replace rotations that are scaled or not orthogonal by the nearest rotation."""
+    translation_factor: float = 1.0
+    """Positions of the poses are multiplied by this: 0.001 if they are in millimetres."""
+    pose_shift_frames: float = 0.0
+    """Frame i gets the pose recorded for frame i + this, interpolated between frames if it is not a whole number."""
+    pose_offset_s: float = 0.0
+    """Every picture was taken this much later than its pose, seconds; it gets the pose of its time, interpolated.
+    gsfusion-nb offset DATA estimates it. Usual: within 0.03."""
+    rgb_shift_frames: int = 0
+    """Frame i gets the colour image of frame i + this."""
+    fit_sizes: bool = False
+    """Resize colour and intrinsics to the size of the depth images where they differ."""
+    fx: float = 0.0
+    """Focal length along x that replaces the recorded one, pixels; 0 keeps it."""
+    fy: float = 0.0
+    """Focal length along y that replaces the recorded one, pixels; 0 keeps it."""
+    cx: float = 0.0
+    """Principal point, x, that replaces the recorded one, from the left edge of the image, pixels; 0 keeps it."""
+    cy: float = 0.0
+    """Principal point, y, that replaces the recorded one, from the upper edge of the image, pixels; 0 keeps it."""
+    pixel_shift: float = 0.0
+    """Added to cx and cy, pixels: 0.5 if the recording counts pixel centres as whole numbers and edges were assumed,
+    -0.5 for the opposite."""
+    rgb_mirror: Literal["none", "x", "y", "xy"] = "none"
+    """Mirror the colour images left-right (x), upside down (y) or both."""
+    rgb_shift_x_px: float = 0.0
+    """Shift of the colour image relative to the depth image, pixels; positive if its content lies too far right."""
+    rgb_shift_y_px: float = 0.0
+    """Shift of the colour image relative to the depth image, pixels; positive if its content lies too far down."""
+    rgb_scale: float = 1.0
+    """Scale of the colour image's content relative to the depth image's, about the image centre: 1.02 if things are 2 %
+    larger in colour."""
+    skip: tuple[int, ...] = ()
+    """Numbers of the frames to leave out, for example frozen or blurred ones."""
+
+    def __post_init__(self):
+        check_kinds("repair", self)
+        for name in ("depth_factor", "translation_factor", "rgb_scale"):
+            check_positive(f"repair.{name}", getattr(self, name))
+        for name in ("fx", "fy", "cx", "cy"):
+            check_number(f"repair.{name}", getattr(self, name), 0, 1e5)
+        for name in ("pixel_shift", "rgb_shift_x_px", "rgb_shift_y_px", "pose_shift_frames", "rgb_shift_frames"):
+            check_number(f"repair.{name}", getattr(self, name), -1e4, 1e4)
+        check_number("repair.pose_offset_s", self.pose_offset_s, -10, 10)
+        if self.pose_offset_s and self.pose_shift_frames:
+            raise ValueError(
+                "set repair.pose_offset_s or repair.pose_shift_frames, not both: each moves the poses in time"
+            )
+        if self.axes not in NAMED_AXES and self.axes not in AXES:
+            raise ValueError(
+                f"repair.axes must be one of {', '.join(NAMED_AXES)} or three words such as right-up-back, "
+                f"got {self.axes!r}"
+            )
+        if any(i < 0 for i in self.skip):
+            raise ValueError(f"repair.skip must hold frame numbers >= 0, got {min(self.skip)}")
+
+    @property
+    def axis_words(self) -> tuple[str, ...]:
+        """Directions of the stored camera's x, y and z axes, as words."""
+        return tuple(NAMED_AXES.get(self.axes, self.axes).split("-"))
+
+    @property
+    def changes(self) -> dict[str, object]:
+        """The fields that differ from their defaults."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return {f.name: values[f.name] for f in dataclasses.fields(self) if values[f.name] != f.default}
+
+    @property
+    def flags(self) -> str:
+        """The options of ``gsfusion-nb map`` that ask for this; empty if it changes nothing."""
+        words = []
+        for name, value in self.changes.items():
+            words.append(f"--data.repair.{name.replace('_', '-')}")
+            if not isinstance(value, bool):
+                words += [f"{v:.7g}" if isinstance(v, float) else str(v) for v in _values(value)]
+        return " ".join(words)
+
+
+def _values(value: object) -> tuple:
+    return value if isinstance(value, tuple) else (value,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,9 +217,10 @@ class SeedingConfig:
     that was thinned before. Larger: such rules are asked in more of the mapped frames."""
     options: dict[str, int | float | str | bool | Path] = field(default_factory=dict)
     """Keyword arguments of the rule, by name; on the command line: --rule-options name=value."""
-    own_settings: tuple[str, ...] = ()
-    """Settings that keep their value although the rule brings another one: names, such as optim.lr_xyz, groups, such as
-    optim, or all. Settings that differ from the defaults, and from the presets room and replica, stay anyway."""
+    own_settings: tuple[str, ...] = field(default=(), compare=False)
+    """What the user set, which stays although the rule brings another value: names, such as optim.lr_xyz, groups, such
+    as optim, or all. Options on the command line, changes in Python and the values of a data set's preset are added by
+    themselves."""
 
     def __post_init__(self):
         check_kinds("seeding", self)
@@ -170,3 +286,30 @@ class DataConfig:
             raise ValueError(f"data.stride must be >= 1, got {self.stride}")
         if self.hold_out_every == 1:
             raise ValueError("data.hold_out_every=1 would hold out every frame; use 0 for none or 2 and more")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SystemConfig:
+    """What the settings of any system hold; each system adds its own."""
+
+    seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
+    data: DataConfig = field(default_factory=DataConfig)
+    sh_degree: int = 3
+    """Degree of the spherical harmonics that store a Gaussian's colour, 0 to 3. 0: one colour from all sides, least
+    memory and time. 3: colour may change with the viewing direction (gloss, reflections)."""
+    keyframes_on: Literal["device", "cpu"] = "device"
+    """Where the images of the keyframes are kept: "device" (with the map) or "cpu", which saves memory of the GPU."""
+    seed: int = 0
+    """Seed of all random numbers. The same seed on the same machine gives the same map."""
+
+    @property
+    def source_stride(self) -> int:
+        """Frames of the recording from one mapped frame to the next."""
+        return self.seeding.source_stride or self.data.stride
+
+    def __post_init__(self):
+        if self.sh_degree not in (0, 1, 2, 3):
+            raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
+        check_name("keyframes_on", self.keyframes_on, ("device", "cpu"))
+        check_kinds("", self)

@@ -10,10 +10,8 @@ from typing import Any, Literal
 
 from ..checks import check_name, check_number, check_positive
 from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE, OPAQUE_ALPHA
-from .fidelity import fidelity_of
-from .parts import DataConfig, SeedingConfig, TsdfConfig
-from .system import SystemConfig
-from .values import check_kinds, from_dict, replace
+from .parts import DataConfig, SeedingConfig, SystemConfig, TsdfConfig
+from .values import check_kinds, fidelity_of, from_dict, replace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,7 +304,7 @@ def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
     """
     check_name("preset", preset, _RTG_SLAM)
     check_name("fidelity", fidelity, _FIDELITY)
-    config = from_dict(RtgSlamConfig, _RTG_SLAM[preset])
+    config = replace(RtgSlamConfig(), **_RTG_SLAM[preset])
     layers = [_FIDELITY[fidelity], _CODE_ON.get(preset, {}) if fidelity == "code" else {}]
     for layer in layers:
         config = from_dict(RtgSlamConfig, layer, start=config)

@@ -1,18 +1,48 @@
-"""Changing, saving and restoring settings: any frozen dataclass of plain values and other such dataclasses."""
+"""Changing, saving, comparing and explaining settings: frozen dataclasses of plain values or of such dataclasses."""
 
+import ast
+import contextlib
 import dataclasses
+import functools
+import inspect
+import itertools
+import shutil
+import sys
+import textwrap
 import typing
-from collections.abc import Mapping
-from typing import Any, TypeVar
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import field, is_dataclass
+from typing import Annotated, Any, TextIO, TypeVar, cast, get_args, get_origin
 
 from ..errors import shown
 
 C = TypeVar("C")
 
 
+NOT_FOR_RULES = ("data", "seed", "seeding.rule", "seeding.options", "seeding.own_settings")
+"""Settings that a seeding rule cannot bring: they are used before the mapper is made, or choose the rule itself."""
+
+
 def replace(config: C, **overrides: Any) -> C:
-    """A copy of ``config`` with some fields changed; nested ones take a double underscore: ``tsdf__voxel_size_m``."""
-    return _merge(config, nested(overrides, "__"), "")
+    """A copy of ``config`` with some fields changed; nested ones take a double underscore: ``tsdf__voxel_size_m``.
+
+    In the settings of a system these count as set by the user: a seeding rule does not change them.
+    """
+    changes = nested(overrides, "__")
+    return with_own_settings(_merge(config, changes, ""), leaves(changes))
+
+
+def with_own_settings(config: C, names: Iterable[str]) -> C:
+    """The settings of a system with more names in ``seeding.own_settings``; other settings are returned unchanged."""
+    seeding: Any = getattr(config, "seeding", None)
+    if not hasattr(seeding, "own_settings"):
+        return config
+    own = list(seeding.own_settings)
+    for name in names:
+        for_rules = not any(name == taken or name.startswith(f"{taken}.") for taken in NOT_FOR_RULES)
+        if for_rules and name not in own:
+            own.append(name)
+    return _merge(config, {"seeding": {"own_settings": own}}, "")
 
 
 def nested(values: Mapping[str, Any], separator: str) -> dict[str, Any]:
@@ -73,3 +103,157 @@ def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
         else:
             changed[name] = tuple(value) if isinstance(old, tuple) else value  # JSON has no tuples
     return dataclasses.replace(config, **changed)
+
+
+def fidelity_of(config: Any, variants: Mapping[str, Sequence[Any]]) -> str:
+    """The variant that ``config`` follows, with its exceptions: "paper", or "code, but optim.ssim_weight 0.0".
+
+    Only the settings in which the variants differ count. Of equally close variants it is the first.
+
+    Args:
+        config: Settings of a system.
+        variants: Name -> settings of the same system for each data set, in the same order for every name.
+    """
+    values = {name: [leaves(to_dict(c)) for c in configs] for name, configs in variants.items()}
+    deciding = {
+        key
+        for same_data in zip(*values.values(), strict=True)
+        for key in same_data[0]
+        if any(v[key] != same_data[0][key] for v in same_data)
+    }
+    mine = {key: value for key, value in sorted(leaves(to_dict(config)).items()) if key in deciding}
+    exceptions = [
+        (name, [f"{key} {value}" for key, value in mine.items() if value != v[key]])
+        for name, variant in values.items()
+        for v in variant
+    ]
+    closest, others = min(exceptions, key=lambda found: len(found[1]))
+    return f"{closest}, but {', '.join(others)}" if others else closest
+
+
+def leaves(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Nested values by dotted name; the options of the seeding rule are one value."""
+    leaves: dict[str, Any] = {}
+    for name, value in values.items():
+        nested = isinstance(value, dict) and name != "options"
+        leaves |= leaves(value, f"{path}{name}.") if nested else {path + name: value}
+    return leaves
+
+
+T = TypeVar("T")
+
+
+EVERYDAY = (
+    "system", "preset", "fidelity", "rule_options", "device",
+    "data", "out", "reader", "resume", "evaluate",
+    "sh_degree", "seed", "keyframe_every",
+    "data.width", "data.stop", "data.stride", "data.depth_max_m", "data.hold_out_every",
+    "tsdf.voxel_size_m", "tsdf.far_m",
+    "seeding.rule", "seeding.quadtree_threshold",
+    "tracking.poses", "tracking.back_end.enabled",
+    "optim.global_iterations", "optim.refine_poses", "optim.fit_exposure", "final.passes",
+)  # fmt: skip
+"""The options that people change, by dotted name, of all systems. ``--help`` of a command with settings shows only
+these, ``--help-all`` every one."""
+
+
+def parse_options(options: type[T], *, prog: str, arguments: list[str], everyday: Collection[str] = ()) -> T:
+    """``tyro.cli`` with help texts wrapped to the width of the terminal.
+
+    Args:
+        options: Dataclass of the options; the text under a field is its help.
+        prog: Name of the command in the help.
+        arguments: What the user typed after it.
+        everyday: Dotted names of the options that ``--help`` shows, all by default; ``--help-all`` shows every one.
+    """
+    import tyro
+
+    _explain(options)
+    if "--help-all" in arguments:
+        arguments = ["--help"]
+    elif everyday and {"-h", "--help"} & set(arguments):
+        options = _only(everyday, options)
+        options.__doc__ = f"{options.__doc__} --help-all shows every option."
+    with contextlib.redirect_stdout(cast(TextIO, _Wrapped(sys.stdout))):
+        return tyro.cli(options, prog=prog, args=arguments)
+
+
+def _only(names: Collection[str], options: type[T], default: Any = None, path: str = "") -> type[T]:
+    """A dataclass for a help text: the fields of ``options`` that have these dotted names, with their defaults."""
+    hints, fields = typing.get_type_hints(options, include_extras=True), []
+    for f in dataclasses.fields(options):  # pyright: ignore[reportArgumentType]
+        value = f.default if default is None else getattr(default, f.name)
+        if value is dataclasses.MISSING and f.default_factory is not dataclasses.MISSING:
+            value = f.default_factory()
+        kind = hints[f.name]
+        if is_dataclass(value):
+            below = path if f.name == "config" else f"{path}{f.name}."  # the settings of a system are at the top
+            if any(name.startswith(below) for name in names):
+                group = _only(names, type(value), value, below)
+                kind = Annotated[(group, *get_args(kind)[1:])] if get_origin(kind) is Annotated else group
+                fields.append((f.name, kind, field(default_factory=group)))
+        elif path + f.name in names:
+            fields.append((f.name, kind, field(default_factory=lambda value=value: value)))
+    reduced: Any = dataclasses.make_dataclass(options.__name__, fields, kw_only=True)
+    reduced.__doc__ = options.__doc__
+    return reduced
+
+
+class _Wrapped:
+    """A stream that wraps long lines of plain text: tyro prints the description of a command as one line."""
+
+    def __init__(self, stream: Any):
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        width = shutil.get_terminal_size().columns
+        lines = text.split("\n")
+        plain = [line[:1].isalpha() and len(line) > width for line in lines]  # tables begin with a frame or a colour
+        wrapped = [textwrap.fill(line, width) if p else line for line, p in zip(lines, plain, strict=True)]
+        return self._stream.write("\n".join(wrapped))
+
+
+def _explain(options: type) -> None:
+    """Attach the explanations to the fields of a dataclass, of its bases, and of the dataclasses in it."""
+    for base in options.__mro__:
+        if "__dataclass_fields__" in vars(base):
+            _explain_own_fields(base)
+
+
+@functools.cache
+def _explain_own_fields(cls: type) -> None:
+    import tyro
+
+    texts = _explanations(cls)
+    for name, kind in list(inspect.get_annotations(cls).items()):
+        plain, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+        if is_dataclass(plain):
+            _explain(plain)  # pyright: ignore[reportArgumentType]
+        elif name in texts:
+            metavar = next((mark.metavar for mark in marks if hasattr(mark, "metavar")), None)
+            if tyro.conf.Positional in marks and not metavar:
+                metavar = f"[{name.upper()}]" if hasattr(cls, name) else name.upper()
+            hint = functools.partial(_default, text=texts[name])
+            explained = tyro.conf.arg(help=texts[name], metavar=metavar, help_behavior_hint=hint)
+            cls.__annotations__[name] = Annotated[(plain, *marks, explained)]
+
+
+def _default(value: str, text: str) -> str:
+    """The default value after an explanation that does not give it."""
+    return "" if value in ("", "''", "{}") or "default" in text.lower() else f"(default: {value})"
+
+
+def _explanations(cls: type) -> dict[str, str]:
+    """The text under each field of a dataclass, on one line."""
+    try:
+        source: Any = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0]
+    except (OSError, TypeError):  # made at run time, such as the options of one system
+        return {}
+    return {
+        each.target.id: " ".join(text.value.value.split())  # pyright: ignore
+        for each, text in itertools.pairwise(source.body)
+        if isinstance(each, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+    }

@@ -9,26 +9,26 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..errors import shown
-from ..gaussians import Edit, GaussianModel, SurfelModel
+from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
 from ..render import Footprints, footprints
 from ..seeding import ChangedInputError, MapRule, SeedContext, StepStats, check_memory, copy_memory, rule_name
 from ..seeding.apply import Versions
-from ..seeding.step_stats import add_up, check_needs
+from ..seeding.map_rule import check_needs
+from ..seeding.points import add_up
 from ..types import Camera, Frame
-from .rule_in_use import RuleInUse
-from .surfel_optimiser import SurfelOptimiser
+from .rule import RuleInUse
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WatchedStep:
     """What is collected while a step is taken."""
 
-    footprints: Footprints | None
+    footprints: Footprints | None = None
     """Of all rows of the map."""
-    v_uv: Float[Tensor, "N 2"] | None
+    v_uv: Float[Tensor, "N 2"] | None = None
     """To be filled by ``render_vjp``, one row for each Gaussian that it is given."""
-    v_uv_abs: Float[Tensor, "N 2"] | None
+    v_uv_abs: Float[Tensor, "N 2"] | None = None
     """Likewise."""
 
     @property
@@ -67,18 +67,18 @@ class AfterSteps:
         self._context = None
 
     def watch(
-        self, model: GaussianModel, camera: Camera, T_WC: Tensor, n_rows: int | None = None
-    ) -> WatchedStep | None:
-        """Begin a step; None if nothing is collected.
+        self, model: GaussianModel, view: Frame | Keyframe | TrainingView, n_rows: int | None = None
+    ) -> WatchedStep:
+        """Begin a step; nothing is collected of it unless the rule asks for it.
 
         Args:
             model: The map before the step.
-            camera, T_WC: The view that is rendered.
+            view: What is rendered.
             n_rows: Number of rows that are rendered; all by default.
         """
         if not self.is_used:
-            return None
-        seen = footprints(model.params, camera, T_WC) if self._needs - {"render"} else None
+            return WatchedStep()
+        seen = footprints(model.params, view.camera, view.T_WC) if self._needs - {"render"} else None
         n = len(model) if n_rows is None else n_rows
         asked = [name in self._needs for name in ("image_gradients", "abs_image_gradients")]
         v_uv, v_uv_abs = (torch.zeros(n, 2, device=model.device) if wanted else None for wanted in asked)
@@ -95,28 +95,28 @@ class AfterSteps:
             camera: That of the view.
             rows: Row of the map of each rendered Gaussian, if not all were.
         """
-        self.taken += 1
+        self.taken += self.is_used
         seen = step.footprints
         if seen is None:
             return step
         if rows is not None:
-            step = dataclasses.replace(
-                step, v_uv=_spread(step.v_uv, rows, len(model)), v_uv_abs=_spread(step.v_uv_abs, rows, len(model))
-            )
+            v_uv, v_uv_abs = (_spread(values, rows, len(model)) for values in (step.v_uv, step.v_uv_abs))
+            step = WatchedStep(footprints=seen, v_uv=v_uv, v_uv_abs=v_uv_abs)
         add_up(model, seen.visible, step.v_uv, camera, step.v_uv_abs)
         return step
 
-    def surfel_step(
-        self, model: SurfelModel, optimiser: SurfelOptimiser, view: TrainingView
-    ) -> tuple[Float[Tensor, ""], WatchedStep | None]:
-        """A step of an optimiser that works on copies of rows: its loss, and what was collected of it."""
-        watched = self.watch(model, view.camera, view.T_WC, len(optimiser.drawn))
-        loss = optimiser.step(view, {} if watched is None else watched.outputs).total
-        if watched is not None:
-            watched = self.add_up(model, watched, view.camera, optimiser.drawn)
-        return loss, watched
+    def finish(
+        self,
+        mapper: Any,
+        step: WatchedStep,
+        view: Frame | Keyframe,
+        loss: Float[Tensor, ""],
+        rgb: Float[Tensor, "H W 3"],
+    ) -> None:
+        """``add_up`` of a step on all rows, then ``edit``; arguments as for these."""
+        self.edit(mapper, self.add_up(mapper.gaussians, step, view.camera), view, loss, rgb)
 
-    def __call__(
+    def edit(
         self,
         mapper: Any,
         step: WatchedStep,

@@ -1,34 +1,34 @@
 """GPS-SLAM (Peng et al. 2025): a coloured TSDF, and Gaussians for what its colours cannot show, frame by frame."""
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..backends import observed, runs_learners_code
+from ..backends import observed
 from ..config import GPS_SLAM_DIFFERS, GpsSlamConfig, gps_slam, gps_slam_fidelity
+from ..export.tsdf_file import as_stored, write_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import se3
-from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp, l2_mse_vjp
+from ..optim import Keyframe, adam_step, dssim_vjp, fit_pose_by_flow, l1_mse_vjp, l2_mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext
-from ..tracking import Correction, tsdf_surface
+from ..tracking import Correction
 from ..tsdf import FusedView, fuse_frame_
-from ..types import Camera, Frame, RenderOutput
-from .based_views import BasedView, ViewRound, look_at
-from .frame_checks import check_frame
-from .over_surface import OverSurface, StoredWithSurface
-from .step_report import StageClock, StepReport, psnr_from_mse
+from ..types import Camera, Frame, GaussianParams, RenderOutput
+from .gps_surface import TSDF, OverSurface, fit_to_pictures, plain_gaussians
+from .gps_views import BasedView, ViewRound, look_at
+from .mapper import Draw
+from .step import StepReport, ViewStep, as_floats
 from .tsdf_mapping import TsdfMapping
 
 KEPT_BASES_BYTES = 256 << 20
 """Memory for the surfaces that the passes after the scan have seen; the others are looked at anew in each pass."""
 
 
-class GPSSLAM(StoredWithSurface, TsdfMapping):
+class GPSSLAM(TsdfMapping):
     """GPS-SLAM: its two maps are ``volume`` (TSDF) and ``gaussians``, which are drawn over the TSDF's picture.
 
     Settings: ``gsfusion_nb.config.gps_slam``.
@@ -50,76 +50,45 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
         super().__init__(*args, **options)
         self.views = ViewRound(self.config.schedule)
         self._kept_bases: dict[int, BasedView] = {}
+        self._discs: tuple[int, GaussianParams | None] = (0, None)
+        """Number of frames when the surface was made discs last, and these."""
         followed = gps_slam_fidelity(self.config).partition(",")[0]
         self.notes += [GPS_SLAM_DIFFERS[followed]] if followed in GPS_SLAM_DIFFERS else []
 
-    def step(self, frame: Frame) -> StepReport:
-        """Map one frame, all of it or nothing.
+    def map_frame(self, frame: Frame) -> StepReport:
+        """Propose seeds where the surface's picture is wrong, append, optimise views of the round, fuse.
 
-        Here the frame is fused last, because that cannot be undone; what the rule and the optimisation see of the
-        surface is without it. The first frame is therefore only fused, unless the rule needs no surface.
-
-        Raises:
-            BadFrameError: the frame cannot be used. The maps are unchanged.
-            MemoryError: no room for the new voxel blocks. The maps are unchanged.
-            RuntimeError: another thread is in a step, or an earlier frame was only half mapped.
+        The frame is fused last, because that cannot be undone; what the rule and the optimisation see of the surface is
+        without it. The first frame is therefore only fused, unless the rule needs no surface.
         """
-        with self.one_frame(frame):
-            frame, clock = check_frame(frame, self.device), StageClock()
-            with clock("tracking"):
-                frame = self.localiser.locate(frame, tsdf_surface(self.volume))
-            with clock("tsdf"):
-                missing = self._make_room(frame)
-            is_keyframe = self.is_next_keyframe(frame)
-            seeds_now = self.rule_is_due(is_keyframe)
-            in_window = self.n_frames % self.config.schedule.window_every == 0
-            with clock("base"):
-                now = self._look(self._kept(frame)) if seeds_now or in_window or self.after_steps.edits else None
-            with clock("seeding"):
-                preview = FusedView(self.volume, frame, missing)
-                below = None if now is None else now.below
-                context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m, below=below)
-                seeds = self.propose_seeds(context)
-            can_fail = (
-                self.after_steps.edits
-                or self.training.names
-                or runs_learners_code()
-                or self.views.steps_in(self.n_frames) > 0
-            )
-            self.guard.changes_begin(self._undo() if can_fail else None)
-            if seeds_now and self.config.schedule.spread:
+        schedule, is_keyframe = self.config.schedule, self.is_next_keyframe(frame)
+        seeds_now, in_window = self.rule_is_due(is_keyframe), self.n_frames % schedule.window_every == 0
+        with self.clock("tsdf"):
+            missing = self._make_room(frame)
+        with self.clock("base"):
+            now = self._look(self._kept(frame)) if seeds_now or in_window or self.after_steps.edits else None
+        with self.clock("seeding"):
+            below, preview = None if now is None else now.below, FusedView(self.volume, frame, missing)
+            context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m, below=below)
+            seeds = self.propose_seeds(context)
+        with self.changes(undoable=self.views.steps_in(self.n_frames) > 0):
+            if seeds_now and schedule.spread:
                 self._prune()
             if seeds_now and self.config.residual.restart_adam:
                 self._restart_adam()
             self.gaussians.append(seeds, frame.index)
             if is_keyframe:
                 self.keyframes.append(frame, with_depth=self.training.loss is not None)
-            with clock("base"):
+            with self.clock("base"):
                 self._renew_views(now, in_window=in_window)
-            with clock("optimise"):
-                losses, psnrs = self._optimise(context)
-            if losses and not self.config.schedule.spread:
+            with self.clock("optimise"):
+                steps = self._optimise(context)
+            if steps and not schedule.spread:
                 self._prune()
-            self.guard.changes_stay()
-            with clock("tsdf"):
-                self.volume.allocate_missing(missing)
-                fuse_frame_(self.volume, frame)
-            with clock("tracking"):
-                self._record(frame)
-            self.n_frames += 1
-        return StepReport(
-            frame_index=frame.index,
-            n_seeds=len(seeds),
-            n_gaussians=len(self.gaussians),
-            n_blocks=self.volume.n_blocks,
-            n_steps=len(losses),
-            is_keyframe=is_keyframe,
-            losses=tuple(losses),
-            psnr_before_db=psnrs[0] if psnrs else math.nan,
-            psnr_after_db=psnrs[-1] if psnrs else math.nan,
-            tracking=self.localiser.report,
-            seconds=clock.seconds,
-        )
+        with self.clock("tsdf"):
+            self.volume.allocate_missing(missing)
+            fuse_frame_(self.volume, frame)
+        return self._report(frame, seeds, is_keyframe, steps)
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
@@ -145,6 +114,46 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
     @property
     def _over_surface(self) -> OverSurface:
         return OverSurface(volume=self.volume, params=self.gaussians.params, config=self.config.base)
+
+    def write_besides(self, folder: Path) -> None:
+        """Write the TSDF."""
+        write_tsdf(folder / TSDF, self.volume)
+
+    def drawn_as_stored(self) -> Draw:
+        """The map with its TSDF rounded as in the file."""
+        return OverSurface(volume=as_stored(self.volume), params=self.gaussians.params, config=self.config.base).render
+
+    @classmethod
+    def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:
+        """The map of a finished run, drawn from its folder."""
+        return OverSurface.of_folder(folder, params, config).render
+
+    @classmethod
+    def aligned_pose(cls, draw: Draw, params: GaussianParams, frame: Frame) -> Float[Tensor, "4 4"]:
+        """The pose at which the whole picture fits the frame best; the surface moves in it, too."""
+        return fit_pose_by_flow(draw, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC).T_WC
+
+    def standard_gaussians(self) -> GaussianParams:
+        """The Gaussians in front of the surface, then the surface as discs.
+
+        While a map grows, the discs are made anew only when a tenth more frames were mapped.
+        """
+        made, discs = self._discs
+        n = len(self.gaussians)
+        if self.n_frames > made + made // 10:
+            made, discs = self.n_frames, None
+        rows = plain_gaussians(self.volume, self.gaussians.params, discs)
+        self._discs = made, rows[n:]
+        return rows
+
+    @classmethod
+    def standard_from(
+        cls, folder: Path, params: GaussianParams, config: Any, poses: Sequence[Tensor], steps: int
+    ) -> GaussianParams:
+        """The surface as discs, and the Gaussians in front of it, fitted to pictures of the map."""
+        over = OverSurface.of_folder(folder, params, config)
+        rows = plain_gaussians(over.volume, params)
+        return fit_to_pictures(rows, over.render, poses, steps) if poses and len(rows) else rows
 
     @property
     def n_passes(self) -> int:
@@ -177,7 +186,7 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
         super()._follow(correction)
         if correction is not None:
             self.views.forget()
-            self.forget_discs()
+            self._discs = (0, None)
 
     def _kept(self, frame: Frame) -> Keyframe:
         return Keyframe.of(frame, with_depth=self.training.loss is not None)
@@ -212,15 +221,11 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
                 column.zero_()
         self.gaussians.birth_step.fill_(self.gaussians.step_count)
 
-    def _optimise(self, context: SeedContext) -> tuple[list[float], list[float]]:
-        """The steps of this frame, each on one of the views. Returns their losses and PSNRs."""
+    def _optimise(self, context: SeedContext) -> list[list[float]]:
+        """The steps of this frame, each on one of the views. Returns loss and mean squared error before each."""
         n = self.views.steps_in(self.n_frames) if len(self.views) and len(self.gaussians) else 0
         self.after_steps.frame_begins(context, n)
-        steps = [self._optimise_view(self.views.next_view(self.random.keyframes)) for _ in range(n)]
-        if not steps:
-            return [], []
-        losses, errors = torch.stack([torch.stack(step) for step in steps], dim=1).tolist()
-        return losses, [psnr_from_mse(mse) for mse in errors]
+        return as_floats([self._optimise_view(self.views.next_view(self.random.keyframes)) for _ in range(n)])
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan; each pass ends as a burst does, with the removal of rows."""
@@ -236,12 +241,12 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
         return loss
 
     @observed
-    def _optimise_view(self, view: BasedView, ssim_weight: float = 0.0) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    def _optimise_view(self, view: BasedView, ssim_weight: float = 0.0) -> ViewStep:
         """One gradient step on one view. Returns loss and MSE before it; the surface is held fixed."""
         self.guard.may_stop()
         keyframe, below, params = view.keyframe, view.below, self.gaussians.params
         camera, T_WC, target = keyframe.camera, keyframe.T_WC, keyframe.rgb
-        watched = self.after_steps.watch(self.gaussians, camera, T_WC)
+        watched = self.after_steps.watch(self.gaussians, keyframe)
         output, saved = render_over_base(params, camera, T_WC, below.base, behind_m=below.behind_m)
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
         pixels = of_pixels(output.rgb, target)
@@ -253,9 +258,7 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
             structural, v_structural = dssim_vjp(output.rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
-        gradients = render_over_base_vjp(saved, v_rgb, **({} if watched is None else watched.outputs))
+        gradients = render_over_base_vjp(saved, v_rgb, **watched.outputs)
         adam_step(self.gaussians, gradients, self.config.residual.adam, self.training.optimiser)
-        if watched is not None:
-            watched = self.after_steps.add_up(self.gaussians, watched, camera)
-            self.after_steps(self, watched, keyframe, loss, output.rgb)
+        self.after_steps.finish(self, watched, keyframe, loss, output.rgb)
         return loss, pixels.mse

@@ -1,38 +1,29 @@
 """GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in the paper's order."""
 
-import dataclasses
-import math
+from typing import Any
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..backends import observed, piece, runs_learners_code
+from ..backends import observed, piece
 from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
 from ..gaussians import GaussianModel
 from ..optim import (
     Keyframe,
-    UpdateFunction,
     ViewLoss,
     adam_step,
     add_penalties_,
     depth_l1,
     depth_l1_vjp,
     dssim_vjp,
-    exposed,
-    exposed_vjp,
     l1_mse_vjp,
 )
 from ..render import render_forward, render_vjp
-from ..seeding import Cells, SeedContext, SeedingRule, rule_name
-from ..tracking import tsdf_surface
+from ..seeding import Cells, SeedContext, rule_name
 from ..tsdf import FusedView, fuse_frame_
 from ..types import Frame, RenderOutput
-from .exposure_fit import ExposureFit
-from .frame_checks import check_frame
-from .pose_refinement import PoseRefinement
-from .step_report import StageClock, StepReport, psnr_from_mse
-from .training import LossFunction
+from .step import StepReport, ViewStep, as_floats
+from .training import KeyframeFits
 from .tsdf_mapping import TsdfMapping
 
 
@@ -54,80 +45,43 @@ class GSFusion(TsdfMapping):
     config: GSFusionConfig
     gaussians: GaussianModel
 
-    def __init__(
-        self,
-        config: GSFusionConfig | None = None,
-        *,
-        seeding: "str | SeedingRule | None" = None,
-        device: torch.device | str = "cpu",
-        loss: LossFunction | None = None,
-        optimiser: UpdateFunction | None = None,
-    ):
+    def __init__(self, *args: Any, **options: Any):
         """Raises ``ValueError`` for a rule that is asked in keyframes only, without ``keyframe_every``."""
-        super().__init__(config, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
+        super().__init__(*args, **options)
         if self.rule_in_use.when.only_keyframes and not self.config.keyframe_every:
             raise ValueError(
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, and with keyframe_every = 0 a "
                 "frame becomes a keyframe by its seeds; set keyframe_every, such as 5"
             )
-        self.refinement = PoseRefinement(self.config.optim, self.localiser)
-        self.exposures = ExposureFit(self.config.optim)
+        optim = self.config.optim
+        self.fits = KeyframeFits(optim, self.localiser) if optim.refine_poses or optim.fit_exposure else None
+        """What the passes after the scan fit to keyframes besides the Gaussians, if anything."""
 
-    def step(self, frame: Frame) -> StepReport:
-        """Map one frame (paper Fig. 2, section III-B), all of it or nothing.
+    def map_frame(self, frame: Frame) -> StepReport:
+        """Fuse, propose seeds, append, optimise (paper Fig. 2, section III-B).
 
         In the paper the frame is fused before the seeding rule runs. Here the frame is fused last, because that cannot
         be undone. The rule sees a preview of the fused volume (``FusedView``), with the same values, and the
-        optimisation does not read the volume, so the maps are those of the paper's order. Whatever the rule raises,
-        also after a gradient step (``MapRule.after_step``), the maps are unchanged.
-
-        Raises:
-            BadFrameError: the pose is not rigid, an image holds a NaN or colours outside 0..1, or the frame is too far
-                away for the voxel index. The maps are unchanged.
-            MemoryError: no room for the new voxel blocks. The maps are unchanged.
-            RuntimeError: another thread is in a step, or an earlier frame was only half mapped.
+        optimisation does not read the volume, so the maps are those of the paper's order.
         """
-        with self.one_frame(frame):
-            frame, clock = check_frame(frame, self.device), StageClock()
-            with clock("tracking"):
-                frame = self.localiser.locate(frame, tsdf_surface(self.volume))
-            with clock("tsdf"):
-                missing = self._make_room(frame)  # III-B.1, the blocks
-            with clock("seeding"):
-                preview = FusedView(self.volume, frame, missing)
-                context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
-                seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
-            clock.split("seeding", "quadtree", context.quadtree_seconds)
-            can_fail = bool(self.after_steps.edits or self.training.names) or runs_learners_code()
-            self.guard.changes_begin(self._undo() if can_fail else None)
+        with self.clock("tsdf"):
+            missing = self._make_room(frame)  # III-B.1, the blocks
+        with self.clock("seeding"):
+            preview = FusedView(self.volume, frame, missing)
+            context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
+            seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
+        with self.changes():
             self.gaussians.append(seeds, frame.index)
-            known, steps_before = self.is_next_keyframe(frame), self.gaussians.step_count
-            is_keyframe, n_steps, n_revisits = self._plan(len(seeds), known)  # III-B.3
+            is_keyframe, n_steps, n_revisits = self._plan(frame, len(seeds))  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
-                with_depth = self.config.optim.depth_weight > 0 or self.training.loss is not None
-                self.keyframes.append(frame, with_depth=with_depth)
-            with clock("optimise"):
-                losses, psnrs = self._optimise_online(context, n_steps, n_revisits)  # Eq. 12
-            self.guard.changes_stay()
-            with clock("tsdf"):
-                self.volume.allocate_missing(missing)
-                fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
-            with clock("tracking"):
-                self._record(frame)
-            self.n_frames += 1
-        return StepReport(
-            frame_index=frame.index,
-            n_seeds=len(seeds),
-            n_gaussians=len(self.gaussians),
-            n_blocks=self.volume.n_blocks,
-            n_steps=self.gaussians.step_count - steps_before,
-            is_keyframe=is_keyframe,
-            losses=tuple(losses),
-            psnr_before_db=psnrs[0] if psnrs else math.nan,
-            psnr_after_db=psnrs[-1] if psnrs else math.nan,
-            tracking=self.localiser.report,
-            seconds=clock.seconds,
-        )
+                self.keyframes.append(frame, with_depth=self._keeps_depth)
+            with self.clock("optimise"):
+                steps = self._optimise_online(context, n_steps, n_revisits)  # Eq. 12
+        with self.clock("tsdf"):
+            self.volume.allocate_missing(missing)
+            fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
+        self.clock.split("seeding", "quadtree", context.quadtree_seconds)
+        return self._report(frame, seeds, is_keyframe, steps[:n_steps], n_steps=len(steps))
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
@@ -147,9 +101,9 @@ class GSFusion(TsdfMapping):
         """The quadtree of the frame's image (section III-B.1)."""
         return self.seed_context(frame).quadtree_cells()
 
-    def _plan(self, n_seeds: int, known: bool | None) -> tuple[bool, int, int]:
+    def _plan(self, frame: Frame, n_seeds: int) -> tuple[bool, int, int]:
         """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its seeds do not count."""
-        optim, least = self.config.optim, self.config.keyframe_min_seeds
+        optim, least, known = self.config.optim, self.config.keyframe_min_seeds, self.is_next_keyframe(frame)
         return plan_frame(
             n_seeds if known is None else known * (least + 1),
             len(self.keyframes) + self.config.keep_all_frames,
@@ -159,34 +113,31 @@ class GSFusion(TsdfMapping):
             least,
         )
 
-    def _optimise_online(self, context: SeedContext, n: int, n_revisits: int) -> tuple[list[float], list[float]]:
-        """``n`` steps on the frame, then some on random keyframes to avoid forgetting (III-B.3)."""
-        optim = self.config.optim
+    @property
+    def _keeps_depth(self) -> bool:
+        return self.config.optim.depth_weight > 0 or self.training.loss is not None
+
+    def _optimise_online(self, context: SeedContext, n: int, n_revisits: int) -> list[list[float]]:
+        """``n`` steps on the frame, then some on random keyframes to avoid forgetting (III-B.3).
+
+        Returns loss and mean squared error before each step.
+        """
         if len(self.gaussians) == 0:
-            return [], []
+            return []
         earlier = self.keyframes.draw(n_revisits, self.random.keyframes)
         self.after_steps.frame_begins(context, n + len(earlier))
-        steps = [self._optimise_view(context.frame, optim.online_ssim_weight) for _ in range(n)]
-        for keyframe in earlier:
-            self._optimise_view(keyframe, optim.online_ssim_weight)
-        if not steps:
-            return [], []
-        losses, errors = torch.stack([torch.stack(step) for step in steps], dim=1).tolist()
-        return losses, [psnr_from_mse(mse) for mse in errors]
+        views = [*[context.frame] * n, *earlier]
+        return as_floats([self._optimise_view(view, self.config.optim.online_ssim_weight) for view in views])
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan."""
         loss = self._optimise_view(self.keyframes[i], self.config.optim.ssim_weight, fits=True)[0]
-        if not self.passes.queue:
-            if self.refinement.enabled:
-                self.refinement.end_pass(self.keyframes, self.gaussians)
-            self.exposures.end_pass(self.keyframes)
+        if self.fits is not None and not self.passes.queue:
+            self.fits.end_pass(self.keyframes, self.gaussians)
         return loss
 
     @observed
-    def _optimise_view(
-        self, view: Frame | Keyframe, ssim_weight: float = 0.0, fits: bool = False
-    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    def _optimise_view(self, view: Frame | Keyframe, ssim_weight: float = 0.0, fits: bool = False) -> ViewStep:
         """One gradient step on one view. Returns loss and MSE before it. As published, the loss is only L1 online.
 
         With ``fits`` the view is a keyframe whose pose and exposure are fitted, too, where the settings say so. Both
@@ -194,29 +145,28 @@ class GSFusion(TsdfMapping):
         """
         self.guard.may_stop()
         view, optim = view.to(self.device), self.config.optim
-        target = view.rgb
-        watched = self.after_steps.watch(self.gaussians, view.camera, view.T_WC)
+        fit = self.fits if fits else None
+        watched = self.after_steps.watch(self.gaussians, view)
         output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC, with_indices=False)
-        keyframe = view if fits and isinstance(view, Keyframe) else None
-        exposure, rgb = None, output.rgb
-        if keyframe is not None and self.exposures.enabled:
-            exposure = self.exposures.visit(self.keyframes, keyframe, output, target)
-            rgb = exposed(output.rgb, exposure)
-        found, mse = self._loss(dataclasses.replace(output, rgb=rgb), view, ssim_weight)
-        loss, v_rgb = found.value, found.v_rgb
-        if exposure is not None:
-            v_rgb = exposed_vjp(output.rgb, exposure, v_rgb)[0]
-        gradients = render_vjp(saved, v_rgb, found.v_depth_m, **({} if watched is None else watched.outputs))
-        penalties = {"isotropy": optim.isotropy_weight, "scale": optim.scale_weight, "opacity": optim.opacity_weight}
-        if any(penalties.values()):
+        shown = output if fit is None else fit.expose(self.keyframes, view, output)
+        found, mse = self._loss(shown, view, ssim_weight)
+        v_rgb = found.v_rgb if fit is None else fit.expose_vjp(output, found.v_rgb)
+        gradients = render_vjp(saved, v_rgb, found.v_depth_m, **watched.outputs)
+        loss, penalties = found.value, self._penalties
+        if penalties:
             loss = loss + add_penalties_(gradients, self.gaussians.params, **penalties)
         adam_step(self.gaussians, gradients, optim, self.training.optimiser)
-        if keyframe is not None and self.refinement.enabled:
-            self.refinement.move(self.keyframes, keyframe, dataclasses.replace(output, rgb=rgb), target)
-        if watched is not None:
-            watched = self.after_steps.add_up(self.gaussians, watched, view.camera)
-            self.after_steps(self, watched, view, loss, output.rgb)
+        if fit is not None:
+            fit.move(self.keyframes, view, shown)
+        self.after_steps.finish(self, watched, view, loss, output.rgb)
         return loss, mse
+
+    @property
+    def _penalties(self) -> dict[str, float]:
+        """Weights of the penalties on Gaussians, of those that count."""
+        optim = self.config.optim
+        weights = {"isotropy": optim.isotropy_weight, "scale": optim.scale_weight, "opacity": optim.opacity_weight}
+        return weights if any(weights.values()) else {}
 
     def _loss(
         self, rendered: RenderOutput, view: Frame | Keyframe, ssim_weight: float

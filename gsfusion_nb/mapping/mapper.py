@@ -5,39 +5,51 @@ A system is one subclass of ``Mapper`` in this folder, its settings in ``gsfusio
 """
 
 import contextlib
+import dataclasses
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..config import SystemConfig
+from ..backends import runs_learners_code
+from ..checks import check_whole
+from ..config import SystemConfig, from_dict, to_dict
+from ..errors import shown
 from ..gaussians import GaussianModel
 from ..operands import FAR_DEPTH_M
-from ..optim import KeyframeList, UpdateFunction
+from ..optim import KeyframeList, UpdateFunction, fit_pose
 from ..render import render
-from ..seeding import Cells, ChangedInputError, SeedingRule, copy_memory, move_memory, rule_name
-from ..seeding.rule_file import find_rule
-from ..tracking import Correction
-from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
+from ..seeding import (
+    Cells,
+    ChangedInputError,
+    SeedContext,
+    SeedingRule,
+    apply_rule,
+    copy_memory,
+    move_memory,
+    rule_name,
+)
+from ..seeding.rule_code import find_rule
+from ..tracking import Correction, Surface
+from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .after_steps import AfterSteps
-from .asks_rule import AsksRule
-from .keyframe_passes import KeyframePasses
 from .localiser import Localiser, move_map
-from .map_view import MapPart, SurfaceImage
-from .one_frame import FrameGuard
-from .random_streams import RandomStreams
-from .rule_in_use import RuleInUse
-from .rule_settings import settings_with_rule
-from .saved_state import SavesState
-from .step_report import GlobalStep, StepReport
-from .stored_map import StoredMap
-from .training import LossFunction, Training
+from .rule import RuleInUse, check_known, settings_of_run, settings_with_rule
+from .step import FrameGuard, GlobalStep, MapPart, StageClock, StepReport, SurfaceImage, check_frame, psnr_from_mse
+from .training import KeyframePasses, LossFunction, RandomStreams, Training, given_functions
+
+Draw = Callable[[Camera, Tensor], RenderOutput]
+"""Renders a map for a camera and its camera-to-world pose."""
+
+M = TypeVar("M", bound="Mapper")
 
 
-class Mapper(AsksRule, SavesState, StoredMap, ABC):
+class Mapper(ABC):
     """A mapping system: give it frames with ``step``; the map is ``gaussians``, and what the subclass adds.
 
     Args:
@@ -45,7 +57,7 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
         seeding: Name of a registered rule, "FILE.py:name", or the rule function itself; overrides
             ``config.seeding.rule``. The options in the settings are passed to it if it has all of them. If only
             ``config.seeding.rule`` has them, the rule runs with its defaults. Settings that the rule brings
-            (``MapRule.overrides``) replace the usual values in ``config``, not the user's own (``rule_settings``).
+            (``MapRule.overrides``) replace those in ``config`` that the user did not set (``settings_with_rule``).
             ``self.config`` has the settings in use.
         device: Device of the map.
         loss, optimiser: Given instead of the system's own loss and Adam (``Training``, ``LossFunction``,
@@ -56,7 +68,7 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
             ``optimiser`` is no function.
         ValueError: the rule brings a setting that the system does not have.
 
-    A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``step``, ``surface``, ``mesh`` and
+    A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``map_frame``, ``surface``, ``mesh`` and
     ``_global_step``. It overrides the rest where the default does not fit.
     """
 
@@ -82,11 +94,13 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
         "Gaussians": lambda report: report.n_gaussians,
     }
     """Title -> value after a step, plotted while mapping; NaN leaves a gap."""
-    asks_rule: ClassVar[bool] = True
+    uses_seeding_rule: ClassVar[bool] = True
     """Whether new Gaussians come from the seeding rule; the report then names it."""
+    needs_depth: ClassVar[bool] = False
+    """Whether a frame without any depth is refused."""
     needs_volume_to_render: ClassVar[bool] = False
-    """Whether the picture needs more than the Gaussians: then ``gaussians.ply`` alone does not show the map
-    (``StoredMap``)."""
+    """Whether the picture needs more than the Gaussians: then ``gaussians.ply`` alone does not show the map, and the
+    methods from ``write_besides`` to ``standard_from`` are overridden."""
     memory_savers: ClassVar[tuple[str, ...]] = ()
     """Settings, besides smaller images, that reduce the memory of the map; named in the message when memory is full."""
 
@@ -107,7 +121,7 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
         self.training = Training(loss, optimiser)
         config = config or self.config_type()
         self.rule = find_rule(seeding if seeding is not None else config.seeding.rule)
-        self.config = settings_with_rule(config, self.rule, type(self))
+        self.config = settings_with_rule(config, self.rule)
         self.rule_in_use = RuleInUse(self.rule, self.config.seeding.options)
         self.after_steps = AfterSteps(self.rule_in_use)
         self.device = torch.device(device)
@@ -117,6 +131,8 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
         self.localiser = Localiser(self.config.tracking)
         self.passes = KeyframePasses()
         self.guard = FrameGuard()
+        self.clock = StageClock()
+        """Wall time of the stages of the last frame."""
         self.watch: Callable[[int | None], contextlib.AbstractContextManager[None]] = lambda _: contextlib.nullcontext()
         """Context around each frame (with its index) and each step after the scan (with None), for an observer."""
         self._told_far = False
@@ -136,22 +152,44 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
     def n_passes(self) -> int:
         """Number of passes of the optimisation after the scan in the settings."""
 
-    @abstractmethod
     def step(self, frame: Frame) -> StepReport:
-        """Map one frame. A subclass does so inside ``with self.one_frame(frame)``.
-
-        All work that takes time belongs in a stage, ``with clock("optimise"): ...`` with a ``StageClock``: the speed
-        that a run reports is computed from the sum of the stages, ``StepReport.seconds``.
+        """Map one frame, all of it or nothing: check it, find its pose, map it (``map_frame``), record its pose.
 
         Raises:
-            BadFrameError: the frame cannot be used. The map is unchanged.
+            BadFrameError: the frame cannot be used (``check_frame``), tracking is lost, or it is too far away for the
+                voxel index. The map is unchanged.
+            MemoryError: no room for new voxel blocks. The map is unchanged.
             RuntimeError: another thread is in a step, or an earlier frame was only half mapped. The map is unchanged.
             Exception: any error that the seeding rule raised. The map is unchanged.
+        """
+        with self._whole_frame(frame):
+            self.clock = StageClock()
+            frame = check_frame(frame, self.device, needs_depth=self.needs_depth)
+            with self.clock("tracking"):
+                frame = self.localiser.locate(frame, self.tracking_surface)
+            report = self.map_frame(frame)
+            with self.clock("tracking"):
+                self._record(frame)
+            self.n_frames += 1
+        return dataclasses.replace(report, tracking=self.localiser.report, seconds=self.clock.seconds)
+
+    @abstractmethod
+    def map_frame(self, frame: Frame) -> StepReport:
+        """Map a frame that was checked and has a pose; the system's part of ``step``.
+
+        What can fail because of the user's code comes first. All changes of the map are inside
+        ``with self.changes(...)``, and changes that cannot be undone come last. All work that takes time is in a stage,
+        ``with self.clock("optimise"): ...``: the speed of a run is computed from the sum of the stages.
         """
 
     @abstractmethod
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfaceImage:
         """Depth, normals and colours of the map's surface seen by a camera."""
+
+    def tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
+        """What a frame at this pose is aligned to where poses are tracked: the map's surface."""
+        seen = self.surface(camera, T_WC)
+        return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC, rgb=seen.rgb)
 
     @abstractmethod
     def mesh(self) -> Mesh:
@@ -217,13 +255,11 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
             return self._global_step(i)
 
     @contextlib.contextmanager
-    def one_frame(self, frame: Frame) -> Iterator[None]:
+    def _whole_frame(self, frame: Frame) -> Iterator[None]:
         """Context in which ``frame`` is mapped, all of it or nothing, by one thread at a time.
 
-        In it ``self.guard.changes_begin()`` separates what can fail (checks, tracking, the seeding rule) from what
-        changes the map. If the first part fails, the random numbers, the rule's memory and the tracked pose are
-        restored; if the second part fails before ``changes_stay`` and ``changes_begin`` was given ``_undo()``, so is
-        the map.
+        If what comes before ``changes`` fails, the random numbers, the rule's memory and the tracked pose are restored;
+        if an undoable change fails, so is the map.
         """
         with self.watch(frame.index), self.guard.one_frame(frame.index):
             random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
@@ -242,6 +278,19 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
             if self.passes.begun:  # with more frames, the optimisation after the scan starts again
                 self.passes = KeyframePasses()
 
+    @contextlib.contextmanager
+    def changes(self, *, undoable: bool = False) -> Iterator[None]:
+        """Context in which a frame changes the map.
+
+        Args:
+            undoable: Keep a snapshot of the map until the end of the context. A failure in it then leaves the map as it
+                was, and Ctrl-C takes effect between two gradient steps. Always on while foreign code runs.
+        """
+        foreign = self.after_steps.edits or self.training.names or runs_learners_code()
+        self.guard.changes_begin(self._undo() if undoable or foreign else None)
+        yield
+        self.guard.changes_stay()
+
     def _undo(self) -> Callable[[], None]:
         """A function that undoes what a frame changes in the map, from now on; a subclass extends it."""
         rows, steps, taken = self.gaussians.snapshot(), self.gaussians.step_count, self.after_steps.taken
@@ -254,12 +303,62 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
 
         return undo
 
-    def rows_changed(self, before: Int[Tensor, " N"]) -> None:
+    def rows_changed(self, before: Int[Tensor, " N"]) -> None:  # noqa: B027
         """Called after a rule's edit of the map; a subclass that holds copies of rows brings them up to date.
 
         Args:
             before: For each row of the map its number before the edit, -1 for new rows. [N]
         """
+
+    @property
+    def memory(self) -> dict[str, Any]:
+        """What the seeding rule keeps from one frame to the next."""
+        return self.rule_in_use.memory
+
+    def seed_context(self, frame: Frame) -> SeedContext:
+        """What a seeding rule sees of this frame."""
+        return self._context(frame)
+
+    def _context(self, frame: Frame, **more: Any) -> SeedContext:
+        """A context with what every system gives a rule, and ``more`` of this one."""
+        return SeedContext(
+            frame,
+            gaussians=self.gaussians,
+            generator=self.random.rule,
+            config=self.config.seeding,
+            memory=self.memory,
+            starts_submap=self.rule_in_use.when.starts_submap(self.n_frames, stride=self.config.source_stride),
+            keyframes=tuple(self.keyframes),
+            past_T_WC=tuple(self.localiser.poses),
+            **more,
+        )
+
+    def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
+        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due (``MapRule.when``).
+
+        Args:
+            context: What the rule sees.
+            checks: Further arguments of ``apply_rule``.
+        """
+        when = self.rule_in_use.when
+        is_keyframe = self.is_next_keyframe(context.frame) if when.only_keyframes else None  # may wait for a GPU
+        if when.only_keyframes and is_keyframe is None:
+            raise ValueError(
+                f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but {self.title} chooses its "
+                "keyframes after the seeding"
+            )
+        if not self.rule_is_due(is_keyframe):
+            return Seeds.empty(context.frame.depth_m)
+        with self.rule_in_use.running():
+            return apply_rule(self.rule, context, self.config.seeding.options, **checks)
+
+    def rule_is_due(self, is_keyframe: bool | None) -> bool:
+        """Whether the rule is asked in the frame that is mapped next (``MapRule.when``)."""
+        return self.rule_in_use.when.is_due(self.n_frames, is_keyframe, stride=self.config.source_stride)
+
+    def is_next_keyframe(self, frame: Frame) -> bool | None:
+        """Whether this frame, mapped next, becomes a keyframe; None if that depends on its seeds."""
+        return None
 
     def counts(self) -> dict[str, int]:
         """Sizes of the map besides its Gaussians and keyframes, with their names in metrics.json."""
@@ -286,6 +385,126 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
         """The quadtree cells of the frame that seeding used; ``None`` if the system has no quadtree."""
         return None
 
+    def constant_tensors(self) -> list[Tensor]:
+        """Tensors in ``state_dict`` that never change: a checkpoint writes them once."""
+        images = [image for k in self.keyframes for image in (k.rgb_u8, k.depth_m)]
+        return [image for image in images if image is not None]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to continue later from exactly this state, as tensors and plain values."""
+        return {
+            "config": to_dict(self.config),
+            "rule": self.rule_in_use.state_dict(),
+            "training": self.training.state_dict(),
+            "n_frames": self.n_frames,
+            "steps_taken": self.after_steps.taken,
+            "passes": self.passes.state_dict(),
+            "localiser": self.localiser.state_dict(),
+            "random": self.random.state_dict(),
+            "gaussians": self.gaussians.state_dict(),
+            "keyframes": self.keyframes.state_dict(),
+        }
+
+    @classmethod
+    def from_state_dict(
+        cls: type[M],
+        state: dict[str, Any],
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+        loss: LossFunction | None = None,
+        optimiser: UpdateFunction | None = None,
+    ) -> M:
+        """The mapper that was saved with ``state_dict``; a rule that is not registered by name must be given again, and
+        so must a loss and an optimiser.
+
+        Raises:
+            SequenceError: the rule is neither given nor registered by its name, the loss or optimiser is not given, or
+                one of them had a state that was not saved.
+        """
+        config = from_dict(cls.config_type, state["config"])
+        if seeding is None:
+            check_known(state["rule"])
+        rule = find_rule(seeding if seeding is not None else state["rule"]["name"])
+        settings = settings_of_run(config, rule)
+        given = given_functions(loss, optimiser)
+        mapper = cls(settings, seeding=rule, device=device, **given)
+        mapper.notes += mapper.training.notes_on(state.get("training", {}))
+        mapper.rule_in_use.load_state_dict(state["rule"])
+        if mapper.rule_in_use.differs(state["rule"]):
+            mapper.notes.append(
+                f"after {state['n_frames']} frames the run continued with another seeding rule, or an edited one: "
+                f"{shown(rule_name(mapper.rule))} instead of {shown(state['rule']['name'])}"
+            )
+        mapper._load(state)
+        return mapper
+
+    def _load(self, state: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` saved; a subclass extends both.
+
+        Raises:
+            ValueError: The state contradicts itself or the settings.
+        """
+        self.localiser.load_state_dict(state["localiser"])
+        check_whole("n_frames", state["n_frames"], 0)
+        self.n_frames = state["n_frames"]
+        check_whole("steps_taken", state["steps_taken"], 0)
+        self.after_steps.taken = state["steps_taken"]
+        if len(self.localiser.poses) != self.n_frames:
+            raise ValueError(f"{self.n_frames} frames must have as many poses, got {len(self.localiser.poses)}")
+        self.random.load_state_dict(state["random"])
+        self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
+        if self.gaussians.sh_degree != self.config.sh_degree:
+            raise ValueError(f"sh_degree must be {self.config.sh_degree}, got {self.gaussians.sh_degree}")
+        self.keyframes = KeyframeList.from_state_dict(state["keyframes"], self.keyframes.device)
+        self.passes.load_state_dict(state["passes"], len(self.keyframes))
+        if lost := self.gaussians.count_not_finite():
+            self.notes.append(f"{lost} Gaussians of the checkpoint hold NaN or infinities; they are not drawn")
+
+    def write_besides(self, folder: Path) -> None:  # noqa: B027
+        """Write the files that the pictures need besides ``gaussians.ply``."""
+
+    def drawn_as_stored(self) -> Draw:
+        """The map as its files hold it, which is what a run scores; made now, so not changed by later frames."""
+        return self.render
+
+    @classmethod
+    def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:
+        """The map of a finished run, drawn from its folder.
+
+        Args:
+            folder: Of the run.
+            params: Its Gaussians, on the device to draw on.
+            config: Settings of the run.
+
+        Raises:
+            FileNotFoundError, ValueError: a file that the pictures need is missing or damaged.
+        """
+        device = params.xyz_W.device
+        return lambda camera, T_WC: cls.render_gaussians(params, camera, T_WC.to(device), config)
+
+    @classmethod
+    def aligned_pose(cls, draw: Draw, params: GaussianParams, frame: Frame) -> Float[Tensor, "4 4"]:
+        """The pose at which the map's picture fits the frame best; default: by the Gaussians alone (``fit_pose``)."""
+        return fit_pose(params, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC).T_WC
+
+    def standard_gaussians(self) -> GaussianParams:
+        """Gaussians whose sorted picture, as any viewer of splats draws it, is about that of the map."""
+        return self.gaussians.params
+
+    @classmethod
+    def standard_from(
+        cls, folder: Path, params: GaussianParams, config: Any, poses: Sequence[Tensor], steps: int
+    ) -> GaussianParams:
+        """``standard_gaussians`` of a finished run, fitted to pictures of its map if they are not the map itself.
+
+        Args:
+            folder, params, config: As for ``drawn_from``.
+            poses: Camera-to-world poses to see the map from. [4, 4] each
+            steps: Gradient steps of the fit.
+        """
+        return params
+
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
         """Warnings for the user about the step that gave ``report``, as sentences."""
         warnings, depth_m = [], frame.depth_m[::8, ::8]
@@ -302,6 +521,25 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
                 f"--data.depth-max-m {FAR_DEPTH_M:g} leaves it out"
             )
         return warnings
+
+    def _report(
+        self, frame: Frame, seeds: Seeds, is_keyframe: bool, steps: Sequence[Sequence[float]] = (), **fields: Any
+    ) -> StepReport:
+        """The report on a frame, from loss and mean squared error before each step on it (``as_floats``)."""
+        psnrs_db = [psnr_from_mse(mse) for _, mse in steps] or [math.nan]
+        measured = {
+            "losses": tuple(loss for loss, _ in steps),
+            "n_steps": len(steps),
+            "psnr_before_db": psnrs_db[0],
+            "psnr_after_db": psnrs_db[-1],
+        }
+        return StepReport(
+            frame_index=frame.index,
+            n_seeds=len(seeds),
+            n_gaussians=len(self.gaussians),
+            is_keyframe=is_keyframe,
+            **measured | fields,
+        )
 
     def _record(self, frame: Frame) -> None:
         """Add a mapped frame to the trajectory, and follow the correction if it closes a loop."""

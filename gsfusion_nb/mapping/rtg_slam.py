@@ -3,29 +3,39 @@
 import dataclasses
 import math
 from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import runs_learners_code
 from ..checks import check_number, check_whole
 from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelity
-from ..gaussians import SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
+from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import se3
-from ..render import SurfaceView, render_forward, surface_depth_m, view_surface
+from ..optim import Keyframe, TrainingView, fuse_with_history
+from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m, view_surface
 from ..seeding import SeedContext
-from ..tracking import Correction, Surface
+from ..tracking import Correction
+from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
-from .frame_checks import check_frame
+from .after_steps import WatchedStep
 from .mapper import Mapper
-from .rendered_mesh import mesh_of_views
-from .step_report import StageClock, StepReport, psnr_from_mse
-from .surfel_mapping import SurfelMapping
+from .step import StepReport, check_frame, psnr_from_mse
+from .surfel_optimiser import SurfelOptimiser
+
+MESH_VIEWS = 60
+"""Number of views whose rendered depth is fused to the mesh."""
+
+MASKED_BELOW = 0.8
+"""If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves no time."""
+
+LastStep = tuple[int, Tensor, WatchedStep]
+"""Number of its view, its loss, and what was collected of it."""
 
 
-class RTGSLAM(SurfelMapping):
+class RTGSLAM(Mapper):
     """RTG-SLAM: its map is ``gaussians``, discs on the surface.
 
     Settings and published presets: ``gsfusion_nb.config.rtg_slam``.
@@ -38,6 +48,7 @@ class RTGSLAM(SurfelMapping):
     fidelity_of = staticmethod(rtg_slam_fidelity)
     model_type = SurfelModel
     gaussians_are_discs = True
+    needs_depth = True
     panels = ("input", "render", "error", "depth_error", "states", "seed_causes")
     curves: ClassVar = Mapper.curves | {
         "stable Gaussians": lambda report: report.counts["stable_opaque"] + report.counts["stable_transparent"]
@@ -50,65 +61,226 @@ class RTGSLAM(SurfelMapping):
     def __init__(self, *args: Any, **options: Any):
         super().__init__(*args, **options)
         self.camera: Camera | None = None
+        self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
+        self._final: SurfelOptimiser | None = None
+        """The optimiser of the passes after the scan."""
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in state_counts(self.gaussians).items())
         note = self.rule_in_use.memory_note
         return f"RTGSLAM({self.n_frames} frames, {len(self.gaussians):,} Gaussians ({counts}){note})"
 
-    def step(self, frame: Frame) -> StepReport:
-        """Map one frame (paper Fig. 2, section 3.2), all of it or nothing.
-
-        Raises:
-            BadFrameError: the frame cannot be used. The map is unchanged.
-            RuntimeError: another thread is in a step, or an earlier frame was only half mapped.
-        """
-        with self.one_frame(frame):
-            frame, clock = check_frame(frame, self.device, needs_depth=True), StageClock()
-            with clock("tracking"):
-                frame = self.localiser.locate(frame, self._tracking_surface)  # Eq. 10
-            with clock("seeding"):
-                context = self.seed_context(frame)
-                before = _psnr(context.surface().rgb, frame) if len(self.gaussians) else math.nan
-                seeds = self.propose_seeds(context)  # Eq. 6
-            is_keyframe = self.is_next_keyframe(frame)
-            window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0
-            is_lesson = runs_learners_code() or bool(self.training.names)
-            self.guard.changes_begin(self._undo() if window_is_due or keyframes_are_due or is_lesson else None)
+    def map_frame(self, frame: Frame) -> StepReport:
+        """Propose seeds, append, optimise the window and the keyframes, change states (paper Fig. 2, section 3.2)."""
+        with self.clock("seeding"):
+            context = self.seed_context(frame)
+            before = _psnr_db(context.surface().rgb, frame) if len(self.gaussians) else math.nan
+            seeds = self.propose_seeds(context)  # Eq. 6
+        is_keyframe = self.is_next_keyframe(frame)
+        window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0
+        with self.changes(undoable=window_is_due or keyframes_are_due):
             self.gaussians.append(seeds, frame.index)
             self._begin(context, is_keyframe, window_is_due, keyframes_are_due)
-            with clock("optimise"):
+            with self.clock("optimise"):
                 losses = self._optimise_window() if window_is_due else []  # Eq. 7-9
-            with clock("keyframes"):
+            with self.clock("keyframes"):
                 n_steps = self._optimise_keyframes() if keyframes_are_due else 0
             self.guard.may_stop()
-            if not is_lesson:
-                self.guard.changes_stay()
-            with clock("states"):
+            with self.clock("states"):
                 after, transitions = self._manage_states(frame)
-            self.guard.changes_stay()
-            with clock("tracking"):
-                self._record(frame)
-            self.camera = frame.camera
-            self.n_frames += 1
-            self.gaussians.step_count = self.n_frames
-        return StepReport(
-            frame_index=frame.index,
-            n_seeds=len(seeds),
-            n_gaussians=len(self.gaussians),
-            n_steps=len(losses) + n_steps,
-            is_keyframe=is_keyframe,
+            self.gaussians.step_count = self.n_frames + 1
+        return self._report(
+            frame,
+            seeds,
+            is_keyframe,
             losses=tuple(losses),
+            n_steps=len(losses) + n_steps,
             psnr_before_db=before,
             psnr_after_db=after,
-            tracking=self.localiser.report,
             counts=state_counts(self.gaussians) | vars(transitions),
-            seconds=clock.seconds,
         )
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame."""
         return self._context(frame, discs=self.config.discs, near_m=self.config.data.depth_min_m)
+
+    def is_next_keyframe(self, frame: Frame) -> bool:
+        """Whether the camera has turned or moved far enough since the last keyframe."""
+        if not len(self.keyframes):
+            return True
+        limits, last = self.config.keyframes, self.keyframes[len(self.keyframes) - 1].T_WC.to(frame.T_WC)
+        turned = torch.rad2deg(se3.rotation_angle(last[:3, :3].T @ frame.T_WC[:3, :3]))
+        moved = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
+        return float(turned) >= limits.rotation_deg or float(moved) >= limits.translation_m
+
+    def _window_is_due(self, is_keyframe: bool) -> bool:
+        if not self.n_frames:
+            return True
+        replaced = is_keyframe and self.config.keyframes.instead_of_window and bool(self.gaussians.is_stable.any())
+        return (self.n_frames + 1) % self.config.window.every_frames == 0 and not replaced
+
+    def _begin(self, context: SeedContext, is_keyframe: bool, window: bool, keyframes: bool) -> None:
+        """Take the frame of ``context`` into the window, and keep it if it is a keyframe. What will be optimised is
+        told to ``after_steps``."""
+        self._final = None  # its rows are no longer the map's
+        self.window.append(context.frame)
+        if is_keyframe:
+            self.keyframes.append(context.frame, with_depth=True)
+        n_steps = window * self.config.window.iterations + keyframes * self.config.keyframes.iterations
+        self.after_steps.frame_begins(context, n_steps)
+
+    def _optimise_window(self) -> list[float]:
+        """Optimise the unstable Gaussians against the last frames, then fuse them with the old values (Eq. 7-9)."""
+        config, model = self.config.window, self.gaussians
+        trained = ~model.is_stable if config.only_unstable else torch.ones_like(model.is_stable)
+        seen = self._seen(self.window)
+        if not (trained & seen).any():
+            return []
+        optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen, training=self.training)
+        before = GaussianParams(**{name: value.clone() for name, value in vars(optimiser.trained).items()})
+        masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
+        touched = [optimiser.touched(f.camera, f.T_WC) if masked else None for f in self.window]
+        views = [TrainingView.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
+        newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
+        losses, last = self._take_steps(optimiser, views, config.iterations, newest_from)
+        was = model.confidence[optimiser.rows]
+        now = was + optimiser.steps_seen
+        fused = fuse_with_history(
+            before, optimiser.trained, was, now, history_max_weight=config.history_max_weight
+        )  # Eq. 9
+        optimiser.write_back(fused)
+        model.confidence[optimiser.rows] = now
+        self._edit(optimiser, self.window, last)
+        return torch.stack(losses).tolist() if losses else []
+
+    def _optimise_keyframes(self) -> int:
+        """Optimise over the latest and some random keyframes, on the pixels with the largest colour errors.
+
+        Returns the number of gradient steps.
+        """
+        config, model = self.config.keyframes, self.gaussians
+        n = len(self.keyframes)
+        latest = list(range(max(0, n - config.latest), n))
+        earlier = torch.randperm(n - len(latest), generator=self.random.keyframes)[: config.random].tolist()
+        chosen = [self.keyframes[i].to(self.device) for i in earlier + latest]
+        rows = model.is_stable if config.rows == "stable" else torch.ones_like(model.is_stable)
+        seen = self._seen(chosen)
+        if not (rows & seen).any():
+            return 0
+        optimiser = SurfelOptimiser(
+            model,
+            rows,
+            self.config.window,
+            self.config.discs,
+            drawn=rows,
+            seen=seen,
+            lr_factor=config.lr_factor,
+            move_centres=False,
+            training=self.training,
+        )
+        views = [TrainingView.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
+        _, last = self._take_steps(optimiser, views, config.iterations)
+        optimiser.write_back()
+        self._edit(optimiser, chosen, last)
+        return config.iterations
+
+    def _take_steps(
+        self, optimiser: SurfelOptimiser, views: list[TrainingView], n: int, newest_from: float = math.inf
+    ) -> tuple[list[Tensor], LastStep | None]:
+        """``n`` gradient steps on views drawn at random, from step ``newest_from`` on only on the newest.
+
+        Returns the losses before them; and the number of the view, the loss and what was collected of the last step.
+        """
+        losses, last = [], None
+        for step in range(n):
+            self.guard.may_stop()
+            i = len(views) - 1 if step >= newest_from else self._draw(len(views))
+            loss, watched = self._step_on(views[i], optimiser)
+            losses.append(loss)
+            last = i, loss, watched
+        return losses, last
+
+    def _step_on(self, view: TrainingView, optimiser: SurfelOptimiser) -> tuple[Float[Tensor, ""], WatchedStep]:
+        """One step, on copies of rows: the loss before it, and what was collected of it."""
+        watched = self.after_steps.watch(self.gaussians, view, len(optimiser.drawn))
+        loss = optimiser.step(view, watched.outputs).total
+        return loss, self.after_steps.add_up(self.gaussians, watched, view.camera, optimiser.drawn)
+
+    def _edit(self, optimiser: SurfelOptimiser, sources: Sequence[Frame | Keyframe], last: LastStep | None) -> None:
+        """Let the rule edit the map after its rows were written back."""
+        if last is not None:
+            i, loss, watched = last
+            assert optimiser.picture is not None
+            self.after_steps.edit(self, watched, sources[i], loss, optimiser.picture)
+
+    def _seen(self, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:
+        """Rows that any of the views may show."""
+        params, seen = self.gaussians.params, torch.zeros_like(self.gaussians.is_stable)
+        for view in views:
+            seen |= rows_in_view(params, view.camera, view.T_WC)
+        return seen
+
+    def _worst_pixels(self, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
+        """The pixels with the largest colour errors, a fixed share of the image."""
+        view = self.surface(keyframe.camera, keyframe.T_WC)
+        error = (view.rgb - keyframe.rgb).abs().mean(dim=-1)
+        return error >= error.flatten().quantile(1 - self.config.keyframes.pixel_share)
+
+    def _global_step(self, i: int) -> Float[Tensor, ""]:
+        """One step on the i-th keyframe, on all pixels and all Gaussians, which all become stable at the first step."""
+        if self._final is None:
+            self.gaussians.state.fill_(STABLE)
+            self._final = self._final_optimiser()
+        keyframe = self.keyframes[i].to(self.device)
+        loss, watched = self._step_on(TrainingView.of(keyframe), self._final)
+        self._final.write_back()
+        self._edit(self._final, [keyframe], (0, loss, watched))
+        return loss
+
+    def rows_changed(self, before: Int[Tensor, " N"]) -> None:
+        """In the passes after the scan all rows stay stable, and Adam goes on with the rows that are left."""
+        if self._final is not None:
+            self.gaussians.state.fill_(STABLE)
+            earlier, self._final = self._final, self._final_optimiser()
+            self._final.take_over(earlier, before)
+
+    def _final_optimiser(self) -> SurfelOptimiser:
+        config, everything = self.config.final, torch.ones_like(self.gaussians.is_stable)
+        return SurfelOptimiser(
+            self.gaussians,
+            everything,
+            self.config.window,
+            self.config.discs,
+            lr_factor=config.lr_factor,
+            move_centres=False,
+            training=self.training,
+            weight_depth=config.weight_depth,
+        )
+
+    def _draw(self, n: int) -> int:
+        return int(torch.randint(n, (), generator=self.random.keyframes))
+
+    def _undo(self) -> Callable[[], None]:
+        """Also the window and the optimiser of the final passes."""
+        undo_map, window, final = super()._undo(), list(self.window), self._final
+
+        def undo() -> None:
+            undo_map()
+            self.window, self._final = deque(window, maxlen=self.window.maxlen), final
+
+        return undo
+
+    def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
+        """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""
+        count_views(self.gaussians, frame.camera, frame.T_WC)
+        view = self.surface(frame.camera, frame.T_WC)
+        known = frame.depth_m > 0
+        colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known
+        depth_error_m = torch.where(known & (view.depth_m > 0), frame.depth_m - view.depth_m, 0.0)
+        count_errors(
+            self.gaussians, colour_error, view.dominant_index, depth_error_m, view.hit_index, self.config.states
+        )
+        return _psnr_db(view.rgb, frame), change_states(self.gaussians, self.config.states)
 
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfaceView:
         """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5)."""
@@ -124,8 +296,14 @@ class RTGSLAM(SurfelMapping):
         return dataclasses.replace(output, surface_depth_m=depth_m)
 
     def mesh(self) -> Mesh:
-        """Surface of the map: depth rendered from poses along the whole trajectory, fused into a TSDF."""
-        return mesh_of_views(self.surface, self.camera, self.localiser.poses, self.config.mesh, self.device)
+        """Surface of the map: depth rendered from about 60 poses along the whole trajectory, fused into a TSDF."""
+        volume, poses = TsdfVolume(self.config.mesh, device=self.device), self.localiser.poses
+        for index, T_WC in enumerate(poses[:: max(1, len(poses) // MESH_VIEWS)]):
+            assert self.camera is not None
+            view = self.surface(self.camera, T_WC)
+            seen = {"rgb": view.rgb.clamp(0, 1), "depth_m": view.depth_m, "T_WC": T_WC.to(self.device)}
+            integrate(volume, Frame(index=index, timestamp_s=0.0, camera=self.camera, **seen))
+        return extract_mesh(volume)
 
     @property
     def n_passes(self) -> int:
@@ -159,9 +337,9 @@ class RTGSLAM(SurfelMapping):
             self._final = self._final_optimiser()
             self._final.load_state_dict(state["final"])
 
-    def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
-        view = self.surface(camera, T_WC)
-        return Surface(depth_m=view.depth_m, normal_W=view.normal_W, camera=camera, T_WC=T_WC, rgb=view.rgb)
+    def _record(self, frame: Frame) -> None:
+        self.camera = frame.camera
+        super()._record(frame)
 
     def _follow(self, correction: Correction | None) -> None:
         """After a loop closure the window moves as well."""
@@ -172,27 +350,6 @@ class RTGSLAM(SurfelMapping):
         moved = [dataclasses.replace(f, T_WC=T.to(f.T_WC) @ f.T_WC) for f, T in zip(self.window, moves, strict=True)]
         self.window = deque(moved, maxlen=self.window.maxlen)
 
-    def is_next_keyframe(self, frame: Frame) -> bool:
-        """Whether the camera has turned or moved far enough since the last keyframe."""
-        if not len(self.keyframes):
-            return True
-        limits, last = self.config.keyframes, self.keyframes[len(self.keyframes) - 1].T_WC.to(frame.T_WC)
-        turned = torch.rad2deg(se3.rotation_angle(last[:3, :3].T @ frame.T_WC[:3, :3]))
-        moved = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
-        return float(turned) >= limits.rotation_deg or float(moved) >= limits.translation_m
 
-    def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
-        """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""
-        count_views(self.gaussians, frame.camera, frame.T_WC)
-        view = self.surface(frame.camera, frame.T_WC)
-        known = frame.depth_m > 0
-        colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known
-        depth_error_m = torch.where(known & (view.depth_m > 0), frame.depth_m - view.depth_m, 0.0)
-        count_errors(
-            self.gaussians, colour_error, view.dominant_index, depth_error_m, view.hit_index, self.config.states
-        )
-        return _psnr(view.rgb, frame), change_states(self.gaussians, self.config.states)
-
-
-def _psnr(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:
+def _psnr_db(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:
     return psnr_from_mse(float((rgb.clamp(0, 1) - frame.rgb).square().mean()))

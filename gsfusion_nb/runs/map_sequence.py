@@ -17,7 +17,7 @@ from ..files import DiskFullError
 from ..mapping import LossFunction, get_system, make_mapper
 from ..optim import UpdateFunction
 from ..seeding import SeedingRule
-from ..seeding.rule_file import file_source
+from ..seeding.rule_code import file_source
 from ..types import Mesh
 from ..work import ProgressDisplay, memory_is_full
 from . import outputs

@@ -30,9 +30,9 @@ from ..evaluation import (
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import DiskFullError, write_file
 from ..mapping import Mapper
-from ..mapping.step_report import StepReport
+from ..mapping.step import StepReport
 from ..seeding import is_built_in, rule_name, rule_source
-from ..seeding.rule_file import file_source
+from ..seeding.rule_code import file_source
 from ..types import Mesh
 from .mapping_run import MappingRun
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
@@ -186,7 +186,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         f"{len(run.steps)} frames",
         f"SH degree {config.sh_degree}",
         *(f"{kind} {name}" for kind, name in run.mapper.training.names.items()),
-        *([f"rule {rule_name(run.mapper.rule)}{run.mapper.rule_in_use.memory_note}"] if run.mapper.asks_rule else []),
+        *([f"rule {rule_name(run.mapper.rule)}{run.mapper.rule_in_use.memory_note}"] if run.mapper.uses_seeding_rule else []),
     ]
     data = ReportData(
         title=f"{run.mapper.title} on {run.sequence.name}",

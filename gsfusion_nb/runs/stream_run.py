@@ -12,8 +12,8 @@ from torch import Tensor
 from ..data import BadFrameError, OpenedSequence, Sequence, SequenceError, SequenceView
 from ..data.stream import BackgroundFrames, Policy, SelectedFrames
 from ..mapping import Mapper
-from ..mapping.frame_checks import check_frame
-from ..mapping.keyframe_passes import KeyframePasses
+from ..mapping.step import check_frame
+from ..mapping.training import KeyframePasses
 from ..types import Camera, Frame
 from .mapping_run import MappingRun
 

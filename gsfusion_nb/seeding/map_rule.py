@@ -1,16 +1,73 @@
-"""Seeding rules as classes: rules with a memory, that say when they are asked and which settings they need."""
+"""Seeding rules as classes: with a memory, times at which they are asked, and news of each optimisation step."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
+
+from jaxtyping import Bool, Float
+from torch import Tensor
 
 from ..checks import check_whole
+from ..errors import shown
 from ..gaussians import Edit
-from ..types import Seeds
+from ..types import Camera, Seeds
 from .context import SeedContext
-from .step_stats import StepStats
+
+NEEDS = {
+    "visibility": "``visible`` and ``radius_px``, and how often each Gaussian was visible",
+    "image_gradients": "``v_uv``, and the mean length of it for each Gaussian",
+    "abs_image_gradients": "``v_uv_abs``, and the mean length of it for each Gaussian",
+    "render": "``rgb``",
+}
+"""What ``MapRule.needs`` may name, and what is then collected; both kinds of gradients include "visibility"."""
+
+
+def check_needs(needs: frozenset[str], what: str) -> None:
+    """Raise ``TypeError`` for names that ``NEEDS`` does not have; ``what`` begins the sentence."""
+    if unknown := sorted(needs - NEEDS.keys(), key=str):
+        raise TypeError(f"{what} must be among {', '.join(NEEDS)}, got {shown(unknown)}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StepStats:
+    """One gradient step, or the last of several if the map is written only after them (RTG-SLAM).
+
+    Values for each Gaussian are those of the map before the step; N is its number of rows, which is the same after it.
+    What only ``MapRule.needs`` makes the mapper collect is None without it.
+    """
+
+    step: int
+    """Number of gradient steps of the map so far, this one included, from 1."""
+    stage: Literal["online", "passes"]
+    """While scanning, or in the passes over the keyframes after the scan."""
+    step_in_frame: int
+    """Number of gradient steps for this frame so far, from 1. In the passes after the scan: 1."""
+    steps_in_frame: int
+    """Number of gradient steps that there will be for this frame. In the passes after the scan: 1."""
+    frame_index: int
+    """Index of the frame or keyframe that was rendered and compared; online it may be an earlier one than
+    ``ctx.frame``."""
+    camera: Camera
+    T_WC: Float[Tensor, "4 4"]
+    """Camera and pose that were rendered."""
+    target: Float[Tensor, "H W 3"]
+    """The measured colours, 0..1."""
+    loss: Float[Tensor, ""]
+    """Loss before the step, on the device of the map."""
+    rgb: Float[Tensor, "H W 3"] | None = None
+    """The rendered picture before the step, with "render". Pixels that were not drawn are black (RTG-SLAM)."""
+    visible: Bool[Tensor, " N"] | None = None
+    """Whether each Gaussian reaches into the picture, hidden or not, with "visibility"."""
+    radius_px: Float[Tensor, " N"] | None = None
+    """Half of the longer side of the box in the picture outside which its alpha is below 1/255, pixels, 0 where not
+    visible; with "visibility"."""
+    v_uv: Float[Tensor, "N 2"] | None = None
+    """dL/d of its centre in the picture, per pixel, with "image_gradients"; 0 where it was not optimised."""
+    v_uv_abs: Float[Tensor, "N 2"] | None = None
+    """The same, but the sum of the absolute values of what each pixel contributes to dL/du and dL/dv (Ye et al. 2024,
+    AbsGS), with "abs_image_gradients"."""
 
 
 @dataclass(frozen=True, kw_only=True)

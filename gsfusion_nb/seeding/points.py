@@ -9,8 +9,7 @@ from torch import Tensor
 
 from ..constants import SH_C0
 from ..geometry import quaternion
-from ..types import Frame, GaussianParams
-from .step_stats import abs_image_gradient, image_gradient, times_visible
+from ..types import Camera, Frame, GaussianParams
 
 _DISTANCES = 1 << 25
 """Number of distances computed at a time."""
@@ -136,6 +135,68 @@ def draw_weighted(weight: Float[Tensor, " N"], count: int, generator: torch.Gene
     key = torch.where(weight > 0, key, torch.inf)
     count = min(max(count, 0), int((weight > 0).sum()))
     return key.argsort(stable=True)[:count].sort().values
+
+
+VISIBLE, GRADIENT, ABS_GRADIENT = "times_visible", "image_gradient", "abs_image_gradient"
+"""Names of the numbers that are summed up for each row: steps in which it was visible, and lengths of its ``v_uv`` and
+of its ``v_uv_abs``."""
+
+
+def add_up(
+    gaussians: Any,
+    visible: Bool[Tensor, " N"],
+    v_uv: Float[Tensor, "N 2"] | None,
+    camera: Camera,
+    v_uv_abs: Float[Tensor, "N 2"] | None = None,
+) -> None:
+    """Add a step to the statistics of each row of a map, which ``times_visible``, ``image_gradient`` and
+    ``abs_image_gradient`` read."""
+    gaussians.row_memory(VISIBLE).add_(visible)
+    for name, gradient in ((GRADIENT, v_uv), (ABS_GRADIENT, v_uv_abs)):
+        if gradient is not None:
+            length = (gradient * gradient.new_tensor([camera.width / 2, camera.height / 2])).norm(dim=1)
+            gaussians.row_memory(name).add_(torch.where(visible, length, 0.0))
+
+
+def times_visible(gaussians: Any) -> Float[Tensor, " N"] | None:
+    """Number of gradient steps in which each Gaussian was visible since ``restart_statistics``; None if not collected.
+
+    Source: Kerbl et al. 2023, section 5.2.
+    """
+    return gaussians.memory.get(VISIBLE)
+
+
+def image_gradient(gaussians: Any) -> Float[Tensor, " N"] | None:
+    """Mean length of dL/d of each centre in the image over the steps in which it was visible; None if not collected.
+
+    The unit of length in the image is half its width and half its height, as in 3DGS and gsplat, whose threshold
+    2e-4 refers to it.
+
+    Source: Kerbl et al. 2023, section 5.2.
+    """
+    return _mean_over_steps(gaussians, GRADIENT)
+
+
+def abs_image_gradient(gaussians: Any) -> Float[Tensor, " N"] | None:
+    """Mean length of ``StepStats.v_uv_abs`` over the steps in which each Gaussian was visible; None if not collected.
+
+    The unit of length in the image is that of ``image_gradient``, as in gsplat with ``absgrad=True``.
+
+    Source: Ye et al. 2024 (AbsGS).
+    """
+    return _mean_over_steps(gaussians, ABS_GRADIENT)
+
+
+def restart_statistics(gaussians: Any) -> None:
+    """Forget what was summed up so far."""
+    for name in (VISIBLE, GRADIENT, ABS_GRADIENT):
+        if name in gaussians.memory:
+            gaussians.memory[name].zero_()
+
+
+def _mean_over_steps(gaussians: Any, name: str) -> Float[Tensor, " N"] | None:
+    total = gaussians.memory.get(name)
+    return None if total is None else total / gaussians.memory[VISIBLE].clamp_min(1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,8 +17,7 @@ from typing import Any, TypeGuard, TypeVar
 from ..checks import check_name
 from ..errors import shown
 from ..types import Seeds
-from .map_rule import MapRule, When
-from .step_stats import check_needs
+from .map_rule import MapRule, When, check_needs
 
 SeedingRule = Callable[..., Seeds] | type[MapRule]
 """A function ``(ctx, *, option=default, ...) -> Seeds``, or a subclass of ``MapRule``."""

@@ -12,8 +12,7 @@ from gsfusion_nb.compare import Entrant
 from gsfusion_nb.compare.one_run import run_entry
 from gsfusion_nb.compare.run_all import ResultStore, run_all
 from gsfusion_nb.seeding import UndeclaredFileError, check_rule, option_values, rule_fingerprint
-from gsfusion_nb.seeding.opened_files import DeclaredFiles
-from gsfusion_nb.seeding.rule_file import load_rule_file
+from gsfusion_nb.seeding.rule_code import DeclaredFiles, load_rule_file
 
 LEARNED = '''
 import functools

@@ -10,7 +10,7 @@ from gsfusion_nb.cli import main
 from gsfusion_nb.config import gps_slam
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.export import read_gaussian_ply, read_map_glb
-from gsfusion_nb.mapping.baked import CAMERA, baked, fitted, surface_discs
+from gsfusion_nb.mapping.gps_surface import CAMERA, baked, fitted, surface_discs
 from gsfusion_nb.render import render
 from gsfusion_nb.runs import FinishedRun, run_mapping
 from gsfusion_nb.tsdf import extract_mesh

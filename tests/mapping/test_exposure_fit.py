@@ -8,7 +8,7 @@ import torch
 
 from gsfusion_nb import GSFusion, gsfusion
 from gsfusion_nb.data.room import room
-from gsfusion_nb.mapping.exposure_fit import exposure_between
+from gsfusion_nb.mapping.training import exposure_between
 
 
 def mapped(frames, **optim):

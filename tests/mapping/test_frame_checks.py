@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb.data import BadFrameError
-from gsfusion_nb.mapping.frame_checks import BLACK, check_frame
+from gsfusion_nb.mapping.step import BLACK, check_frame
 from gsfusion_nb.types import Camera, Frame
 
 GOOD = Frame(

@@ -5,7 +5,7 @@ import itertools
 import pytest
 import torch
 
-from gsfusion_nb.mapping.keyframe_passes import KeyframePasses
+from gsfusion_nb.mapping.training import KeyframePasses
 
 
 def visits(passes: KeyframePasses, n: int, keyframes: int, generator, limit: int | None = None) -> list[int]:

@@ -11,7 +11,7 @@ import torch
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion, HalfMappedError, make_mapper
-from gsfusion_nb.mapping.one_frame import DelayedInterrupt
+from gsfusion_nb.mapping.step import DelayedInterrupt
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.tsdf import FusedView, TsdfVolume

@@ -5,8 +5,8 @@ import torch
 
 from gsfusion_nb.config import replace, rtg_slam
 from gsfusion_nb.mapping import RTGSLAM, GSFusion
-from gsfusion_nb.mapping.one_frame import HalfMappedError
-from gsfusion_nb.mapping.rule_settings import settings_with_rule
+from gsfusion_nb.mapping.rule import settings_with_rule
+from gsfusion_nb.mapping.step import HalfMappedError
 from gsfusion_nb.seeding import (
     ChangedInputError,
     SeedContext,

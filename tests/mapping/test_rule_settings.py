@@ -8,7 +8,7 @@ import pytest
 
 from gsfusion_nb.config import GSFusionConfig, from_dict, gsfusion, replace, rtg_slam, to_dict
 from gsfusion_nb.mapping import RTGSLAM, GSFusion
-from gsfusion_nb.mapping.rule_settings import settings_with_rule
+from gsfusion_nb.mapping.rule import settings_with_rule
 from gsfusion_nb.seeding import KEYFRAMES, MapRule, SeedContext, Seeds, When, get_rule
 
 

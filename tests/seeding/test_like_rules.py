@@ -10,8 +10,8 @@ from gsfusion_nb.config import gsfusion
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import SeedContext, Seeds, StepStats, apply_rule
+from gsfusion_nb.seeding.points import add_up
 from gsfusion_nb.seeding.rules import cone_gs, game, monogs_like, splatam_like, vg_mapping
-from gsfusion_nb.seeding.step_stats import add_up
 from gsfusion_nb.types import Camera, Frame
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from gsfusion_nb.seeding import is_built_in, registered, rule_fingerprint, rule_options, rule_source
-from gsfusion_nb.seeding.rule_file import file_source, find_rule, is_rule_file, load_rule_file, rule_of_source
+from gsfusion_nb.seeding.rule_code import file_source, find_rule, is_rule_file, load_rule_file, rule_of_source
 
 FILE = '''"""Two rules."""
 from dataclasses import dataclass

@@ -12,8 +12,8 @@ from gsfusion_nb.data.room import room
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import SeedContext, StepStats, abs_image_gradient, image_gradient, restart_statistics
+from gsfusion_nb.seeding.points import add_up
 from gsfusion_nb.seeding.rules import default_strategy, mcmc
-from gsfusion_nb.seeding.step_stats import add_up
 from gsfusion_nb.types import Seeds
 
 N = 40

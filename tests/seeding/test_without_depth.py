@@ -8,7 +8,7 @@ from gsfusion_nb.config import SeedingConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.seeding import SeedContext, apply_rule
-from gsfusion_nb.seeding.without_depth import cells_without_depth, depth_from_sides
+from gsfusion_nb.seeding.sampling import cells_without_depth, depth_from_sides
 
 FINE = SeedingConfig(quadtree_threshold=0.02, quadtree_contrast="std")
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import RepairConfig
-from ...config.repair import AXES, NAMED_AXES
+from ...config.parts import AXES, NAMED_AXES
 from ...data.adjust.depth_agreement import DepthConsistency, DepthPair, depth_consistency, depth_pair, relative_under
 from ...data.adjust.poses import axis_matrix
 from .sample import Sample

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from ...config import RepairConfig
-from ...config.repair import NAMED_AXES
+from ...config.parts import NAMED_AXES
 from ...types import Camera
 from .corrections import CLEAR
 from .explain import Explanation, repair_fields

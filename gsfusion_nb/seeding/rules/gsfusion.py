@@ -7,7 +7,7 @@ from ...backends import piece
 from ...types import Seeds
 from ..context import SeedContext
 from ..rule import seeding_rule
-from ..without_depth import cells_without_depth
+from ..sampling import cells_without_depth
 
 
 @seeding_rule

@@ -12,9 +12,8 @@ from ...gaussians import Edit, shared
 from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import MapRule
+from ..map_rule import MapRule, StepStats
 from ..rule import seeding_rule
-from ..step_stats import StepStats
 from .default_strategy import strategy_seeds
 
 

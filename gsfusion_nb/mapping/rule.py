@@ -1,11 +1,15 @@
-"""The seeding rule of a mapper: with its options, when it is asked, its memory, and what a checkpoint saves of it."""
+"""The seeding rule of a mapper: its options, when it is asked, its memory, and the settings that it brings."""
 
 import contextlib
+import dataclasses
+import logging
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 from torch import Tensor
 
+from ..config import SystemConfig, from_dict
+from ..config.values import NOT_FOR_RULES, nested, with_own_settings
 from ..errors import SequenceError, shown
 from ..seeding import (
     EVERY_FRAME,
@@ -23,6 +27,7 @@ from ..seeding import (
     registered,
     rule_fingerprint,
     rule_name,
+    rule_options,
 )
 
 
@@ -142,3 +147,101 @@ def check_known(state: dict[str, Any]) -> None:
             f"the seeding rule {shown(name)} of this run {what}; its source is in rule.py of the run's folder: define "
             "it and continue with it in Python: resume_mapping(folder, seeding=<the rule>)"
         )
+
+
+log = logging.getLogger(__name__)
+
+S = TypeVar("S", bound=SystemConfig)
+
+ONLY_IF_THERE = ("keyframe_every",)
+"""Settings that a rule may bring to systems that do not have them: RTG-SLAM's keyframes never depend on the seeds."""
+ALL = "all"
+
+
+def settings_with_rule(config: S, rule: SeedingRule) -> S:
+    """``config`` with everything that the rule decides, so that the stored settings are those of the run.
+
+    Options: those in the settings are for the rule in the settings. Another rule gets them if it has all of them; if
+    only the first rule has them, the other runs with its defaults. Options that neither has are returned unchanged; the
+    mapper refuses them when it is made.
+
+    Settings: what the user set counts more than what the rule brings (``MapRule.overrides``), and that more than
+    defaults and fidelities. The user's are named in ``config.seeding.own_settings``: presets add what they set for a
+    data set, ``gsfusion_nb.config.replace`` and the command line what they are asked to change.
+
+    Raises:
+        ValueError: the rule brings a setting that the system does not have, or a value that it refuses; or
+            ``own_settings`` names a setting that the system does not have.
+    """
+    config = _with_options(config, rule)
+    changes = _changes_by(rule, config)
+    for name, value in changes.items():
+        log.info("the seeding rule %r sets %s = %s, was %s", rule_name(rule), name, value, _value(config, name))
+    try:
+        return from_dict(type(config), nested(changes, "."), start=config)
+    except (TypeError, ValueError, KeyError) as e:
+        raise ValueError(f"the seeding rule {rule_name(rule)!r} brings settings that are refused: {e}") from None
+
+
+def settings_of_run(config: S, rule: SeedingRule) -> S:
+    """``config`` of a run that continues with ``rule``, an edited or another one: the settings of the run stay."""
+    return with_own_settings(config, sorted(_changes_by(rule, config)))
+
+
+def _changes_by(rule: SeedingRule, config: SystemConfig) -> dict[str, Any]:
+    """The settings that the rule changes, by dotted name, with their new values."""
+    brought = _brought(config, rule)
+    return {n: v for n, v in brought.items() if _value(config, n) != v and not _is_own(config, n)}
+
+
+def _with_options(config: S, rule: SeedingRule) -> S:
+    name, seeding = rule_name(rule), config.seeding
+    if name == seeding.rule:
+        return config
+    options, own = seeding.options, registered().get(seeding.rule)
+    if (
+        own is not None
+        and not options.keys() <= rule_options(rule).keys()
+        and options.keys() <= rule_options(own).keys()
+    ):
+        log.info("the options %s belong to the seeding rule %r; %r runs with its defaults", options, seeding.rule, name)
+        options = {}
+    return dataclasses.replace(config, seeding=dataclasses.replace(seeding, rule=name, options=options))
+
+
+def _brought(config: SystemConfig, rule: SeedingRule) -> dict[str, Any]:
+    """The settings that a rule brings, by dotted name."""
+    overrides = rule.overrides if is_map_rule(rule) else {}
+    brought = {name.replace("__", "."): value for name, value in overrides.items()}
+    brought = {name: value for name, value in brought.items() if name not in ONLY_IF_THERE or hasattr(config, name)}
+    if isinstance(every := brought.get("keyframe_every"), int) and every > 0:  # of the recording, not of mapped frames
+        brought["keyframe_every"] = max(1, round(every / config.source_stride))
+    for name in brought:
+        if any(name == taken or name.startswith(f"{taken}.") for taken in NOT_FOR_RULES):
+            raise ValueError(
+                f"the seeding rule {rule_name(rule)!r} brings the setting {shown(name)}, which only the user can set; "
+                f"a rule cannot bring {', '.join(NOT_FOR_RULES)}"
+            )
+    return brought
+
+
+def _is_own(config: SystemConfig, name: str) -> bool:
+    """Whether ``seeding.own_settings`` names a setting, its group, or all."""
+    own = [entry.replace("__", ".").replace("-", "_") for entry in config.seeding.own_settings]
+    for known in own:
+        if known != ALL:
+            _value(config, known)
+    return any(entry in (ALL, name) or name.startswith(f"{entry}.") for entry in own)
+
+
+def _value(config: SystemConfig, name: str) -> Any:
+    """A setting by its dotted name. Raises ``ValueError`` if there is none of that name."""
+    value: Any = config
+    for part in name.split("."):
+        if not dataclasses.is_dataclass(value) or not hasattr(value, part):
+            raise ValueError(
+                f"{type(config).__name__} has no setting {shown(name)}, which the seeding rule or "
+                "seeding.own_settings names"
+            )
+        value = getattr(value, part)
+    return value

@@ -1,4 +1,4 @@
-"""Source code of a seeding rule; a hash of its code, of the values that it stores, and of the files that it names."""
+"""Source code of a seeding rule: rules from files, hashes of their code and values, and the files that they open."""
 
 import ast
 import contextlib
@@ -14,16 +14,20 @@ import os
 import sys
 import sysconfig
 import textwrap
+import threading
+import traceback
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 
-from ..files import UNREADABLE, file_hashes
-from .rule import SeedingRule, option_paths, rule_name
+from ..errors import shown
+from ..files import UNREADABLE, cache_folder, file_hashes
+from ..foreign import read_text
+from .rule import SeedingRule, get_rule, keep_registered, option_paths, registered, rule_name
 
 _OWN = __name__.partition(".")[0]
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
@@ -282,3 +286,179 @@ def _parts(code: types.CodeType) -> Iterator[types.CodeType]:
 def _names(parts: list[types.CodeType], *operations: str) -> set[str]:
     """Names that these operations have in code."""
     return {i.argval for part in parts for i in dis.get_instructions(part) if i.opname in operations}
+
+
+MOST_BYTES = 1_000_000
+
+
+def is_rule_file(text: str) -> bool:
+    """Whether ``text`` names a file and a rule in it, rather than a registered rule."""
+    return ".py" in text
+
+
+def read_rule_file(text: str) -> tuple[str, str]:
+    """Source and name of the rule that "FILE.py:name" names.
+
+    Raises:
+        ValueError: no name, or the file is not text. FileNotFoundError: no such file.
+    """
+    file, colon, name = text.rpartition(":")
+    if not colon or not file.endswith(".py") or not name.isidentifier():
+        raise ValueError(f"expected a seeding rule in a file as FILE.py:name, got {shown(text)}")
+    path = Path(file).expanduser()
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist; expected the file of the seeding rule {name}")
+    return read_text(path, "a seeding rule", at_most=MOST_BYTES), name
+
+
+def load_rule_file(text: str) -> SeedingRule:
+    """The rule that "FILE.py:name" names.
+
+    Raises:
+        ValueError: the file cannot be loaded, or has no such rule. FileNotFoundError: no such file.
+    """
+    source, name = read_rule_file(text)
+    return rule_of_source(source, name, text.rpartition(":")[0])
+
+
+def rule_of_source(source: str, name: str, file: str = "rule.py") -> SeedingRule:
+    """The rule ``name`` of a file's source. The rules that it registers are not registered outside of it.
+
+    Args:
+        source: The whole file. It may import installed packages and modules on Python's path.
+        name: The function or class.
+        file: Name of the file for messages.
+
+    Raises:
+        ValueError: the source cannot be loaded, or has no such rule. TypeError: its signature is not that of a rule.
+    """
+    digest = hashlib.blake2b(source.encode(), digest_size=8).hexdigest()
+    module = sys.modules.get(f"rule_file_{digest}")
+    if module is None:
+        module = _load(source, f"rule_file_{digest}", file)
+    rule: Any = getattr(module, name, None)
+    if rule is None or not callable(rule):
+        known = ", ".join(module.__dict__["__rules__"]) or "none"
+        raise ValueError(f"{file} has no seeding rule {shown(name)}; it defines: {known}")
+    return get_rule(cast(SeedingRule, rule))
+
+
+def find_rule(rule: str | SeedingRule) -> SeedingRule:
+    """The rule that is registered by a name, or that "FILE.py:name" names; a function or class is returned unchanged.
+
+    Raises:
+        KeyError: no rule of that name. TypeError: bad signature. ValueError, FileNotFoundError: as ``load_rule_file``.
+    """
+    return load_rule_file(rule) if isinstance(rule, str) and is_rule_file(rule) else get_rule(rule)
+
+
+def file_source(rule: SeedingRule) -> str:
+    """Source of the whole file that a rule was loaded from; empty for a rule that was not loaded from a file."""
+    module = sys.modules.get(getattr(rule, "__module__", "") or "")
+    return getattr(module, "__rule_source__", "")
+
+
+def _load(source: str, name: str, file: str) -> types.ModuleType:
+    module = types.ModuleType(name)
+    module.__file__ = place = f"<{Path(file).name} {name[-16:]}>"
+    module.__dict__["__rule_source__"] = source
+    linecache.cache[place] = (len(source), None, source.splitlines(keepends=True), place)  # for its source in reports
+    sys.modules[name] = module  # dataclasses look there
+    try:
+        with keep_registered() as before:
+            exec(compile(source, place, "exec"), module.__dict__)
+            own = [rule_name(rule) for key, rule in registered().items() if before.get(key) is not rule]
+    except Exception as e:
+        del sys.modules[name]
+        lines = [frame.lineno for frame in traceback.extract_tb(e.__traceback__) if frame.filename == place]
+        line = e.lineno if isinstance(e, SyntaxError) else (lines[-1] if lines else None)
+        where = file if line is None else f"{file}, line {line}"
+        raise ValueError(f"{where}: {type(e).__name__}: {getattr(e, 'msg', e)}") from None
+    functions = [k for k, v in vars(module).items() if isinstance(v, types.FunctionType) and v.__module__ == name]
+    module.__dict__["__rules__"] = list(dict.fromkeys([*own, *(f for f in functions if not f.startswith("_"))]))
+    return module
+
+
+_SYSTEM = tuple(
+    Path(place).resolve() for place in ("/dev", "/proc", "/sys", "/etc", "/usr", sys.prefix, sys.base_prefix)
+)
+_COMPILED = {".nbi", ".nbc"}
+_PYTHON = {".py", ".pyc"}
+
+
+class UndeclaredFileError(ValueError):
+    """A seeding rule opened a file that none of its options names."""
+
+    def __init__(self, rule: str, path: Path):
+        super().__init__(
+            f"the seeding rule {rule!r} reads {path}, which none of its options names, so a comparison would keep its "
+            f'old results when the file changes; declare it: weights: Path = Path("{path}")'
+        )
+
+
+class DeclaredFiles:
+    """What a rule may open: files that it declares, Python's and those of installed packages, and compiled code.
+
+    Only files are noticed that Python opens, in the thread of the rule: ``open``, ``torch.load``, ``numpy.load``. Files
+    opened by compiled code (``cv2.imread``, ``torch.jit.load``) are not.
+
+    Args:
+        rule: Name of the rule.
+        paths: Files and folders that it declares.
+    """
+
+    def __init__(self, rule: str, paths: Iterable[Path]):
+        self._rule = rule
+        own: list[Any] = [sys.modules[name] for name in (_OWN, f"{_OWN}.kernels") if name in sys.modules]
+        packages = [Path(place).resolve() for package in own for place in package.__path__]  # may be links
+        self._folders = (*_SYSTEM, *packages, cache_folder(), *(path.expanduser().resolve() for path in paths))
+        loaded = [
+            getattr(module, name, None) for module in list(sys.modules.values()) for name in ("__file__", "__cached__")
+        ]
+        self._modules = {file for file in loaded if isinstance(file, str)}
+        self._refused: UndeclaredFileError | None = None
+
+    @contextlib.contextmanager
+    def only(self) -> Iterator[None]:
+        """Context around a call of the rule.
+
+        Raises:
+            UndeclaredFileError: it opens another file, also if it catches that error itself.
+        """
+        _install()
+        before, _now.files, self._refused = getattr(_now, "files", None), self, None
+        try:
+            yield
+        finally:
+            _now.files = before
+        if self._refused is not None:
+            raise self._refused
+
+    def check(self, given: str | bytes | os.PathLike, flags: int) -> None:
+        """Raise ``UndeclaredFileError`` for a file that may not be opened; one that is made anew may be."""
+        writes = flags & (os.O_WRONLY | os.O_TRUNC | os.O_EXCL)
+        path = Path(os.path.abspath(os.fsdecode(given)))
+        known = path.suffix in _COMPILED or (path.suffix in _PYTHON and str(path) in self._modules)
+        if writes or known or is_installed(path):
+            return
+        path = path.resolve()
+        if path.is_file() and not any(path.is_relative_to(folder) for folder in self._folders):
+            self._refused = UndeclaredFileError(self._rule, path)
+            raise self._refused
+
+
+_now = threading.local()
+_installed = threading.Event()
+
+
+def _install() -> None:
+    if not _installed.is_set():
+        _installed.set()
+        # A lambda, which no tool that checks types wraps: a wrapper raises events itself, and they would never end.
+        sys.addaudithook(lambda event, arguments: _check_open(*arguments) if event == "open" else None)
+
+
+def _check_open(file: Any, _mode: Any, flags: int) -> None:
+    files: DeclaredFiles | None = getattr(_now, "files", None)
+    if files is not None and not isinstance(file, int):
+        files.check(file, flags)

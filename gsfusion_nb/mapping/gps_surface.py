@@ -1,4 +1,4 @@
-"""A map of GPS-SLAM as plain Gaussians, for programs that sort them and know no surface below.
+"""A map of GPS-SLAM as a camera sees it, and as plain Gaussians for programs that know no surface below them.
 
 The surface becomes opaque discs, one in each voxel that it crosses. A Gaussian of weight w over the surface's colour
 C_s gives (C_s + w c) / (1 + w), and one of opacity a in front of a disc gives a c + (1 - a) C_s: the same for
@@ -10,24 +10,28 @@ it (1) falls off more slowly than a Gaussian, and of several, sorted ones take l
 blended with the surface also when it lies behind it; here it would be hidden, so each is moved in front of the discs.
 
 Discs of one colour are coarser than the TSDF, which interpolates between voxels. So colours, opacities and sizes are
-then fitted (``fitted``) to pictures of the map itself.
+then fitted (``fit_to_pictures``) to pictures of the map itself.
 """
 
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..config import OptimConfig
+from ..config import BaseConfig, OptimConfig
+from ..export.tsdf_file import read_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..optim import adam_step, l1_mse_vjp
-from ..render import render_forward, render_vjp
-from ..tsdf import TsdfVolume, extract_mesh
+from ..render import BaseView, base_view, render_forward, render_over_base, render_vjp
+from ..tsdf import TsdfVolume, extract_mesh, raycast
 from ..tsdf.trilinear import corner_gradients
 from ..types import Camera, GaussianParams, Mesh, RenderOutput
 
@@ -44,7 +48,7 @@ CAMERA = Camera(width=320, height=240, fx=200.0, fy=200.0, cx=160.0, cy=120.0)
 _RATES = OptimConfig(lr_xyz=0.0, lr_quat=0.0, lr_sh_dc=0.02, lr_sh_rest=0.001, lr_log_scale=0.01, lr_opacity_logit=0.05)
 
 
-def baked(volume: TsdfVolume, params: GaussianParams, discs: GaussianParams | None = None) -> GaussianParams:
+def plain_gaussians(volume: TsdfVolume, params: GaussianParams, discs: GaussianParams | None = None) -> GaussianParams:
     """Surface and Gaussians as Gaussians for a sorted renderer: first the Gaussians, in their order, then the discs.
 
     Holes of the surface stay holes. ``discs`` are those of an earlier surface, to save the time of making new ones.
@@ -57,7 +61,7 @@ def baked(volume: TsdfVolume, params: GaussianParams, discs: GaussianParams | No
     return GaussianParams(**{name: torch.cat([rows, getattr(discs, name)]) for name, rows in vars(over).items()})
 
 
-def fitted(
+def fit_to_pictures(
     gaussians: GaussianParams,
     draw: Callable[[Camera, Tensor], RenderOutput],
     poses: Sequence[Float[Tensor, "4 4"]],
@@ -66,7 +70,7 @@ def fitted(
     """The Gaussians after gradient steps on pictures of the map; places and rotations stay.
 
     Args:
-        gaussians: From ``baked``.
+        gaussians: From ``plain_gaussians``.
         draw: Renders the map.
         poses: Camera-to-world poses to see it from, at least one: those of the recording.
         steps: Number of steps, each on one of the poses, in a random order that is always the same.
@@ -130,3 +134,34 @@ def vertex_normals(mesh: Mesh) -> Float[Tensor, "V 3"]:
 def _means(rows: Float[Tensor, "V C"], group: Int[Tensor, " V"], n: int) -> Float[Tensor, "N C"]:
     total = rows.new_zeros(n, rows.shape[1]).index_add_(0, group, rows)
     return total / torch.bincount(group, minlength=n).clamp_min(1)[:, None]
+
+
+TSDF = "tsdf.npz"
+"""The TSDF in a run's folder."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OverSurface:
+    """A surface and the Gaussians that correct its picture."""
+
+    volume: TsdfVolume
+    params: GaussianParams
+    config: BaseConfig
+
+    def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
+        """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
+        seen = raycast(self.volume, camera, T_WC.to(self.volume.device))
+        return base_view(seen.rgb, seen.depth_m, (camera.height, camera.width), self.config.holes, self.config.behind_m)
+
+    def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
+        """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is the surface's."""
+        below = self.below(camera, T_WC)
+        device = self.volume.device
+        out, _ = render_over_base(self.params, camera, T_WC.to(device), below.base, behind_m=below.behind_m)
+        return out.as_render_output(below.base)
+
+    @staticmethod
+    def of_folder(folder: Path, params: GaussianParams, config: Any) -> "OverSurface":
+        """The map of a finished run; ``params`` are its Gaussians, ``config`` its settings."""
+        volume = read_tsdf(folder / TSDF, config.tsdf, params.xyz_W.device)
+        return OverSurface(volume=volume, params=params, config=config.base)
