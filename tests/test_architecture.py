@@ -130,7 +130,7 @@ SYSTEM_CONFIG = '''
 
 from dataclasses import dataclass
 
-from .system import SystemConfig
+from .parts import SystemConfig
 from .values import replace
 
 
@@ -156,11 +156,9 @@ from ..config import OptimConfig, TsdfConfig
 from ..config.toy_system import ToyConfig, toy_system
 from ..optim import adam_step, l1_mse_vjp
 from ..render import render_forward, render_vjp
-from ..seeding import SeedContext
 from ..tsdf import TsdfVolume, extract_mesh, integrate, raycast
-from .frame_checks import check_frame
 from .mapper import Mapper
-from .step_report import StageClock, StepReport
+from .step import StepReport
 
 
 class ToySystem(Mapper):
@@ -178,21 +176,15 @@ class ToySystem(Mapper):
     def n_passes(self) -> int:
         return 1
 
-    def step(self, frame) -> StepReport:
-        frame = check_frame(frame, self.device)
+    def map_frame(self, frame) -> StepReport:
         integrate(self.volume, frame)
-        context = SeedContext(frame, volume=self.volume, gaussians=self.gaussians, generator=self.random.rule,
-                              config=self.config.seeding, near_m=0.1)
-        seeds = self.propose_seeds(context)
-        self.gaussians.append(seeds, frame.index)
-        self.keyframes.append(frame)
-        clock = StageClock()
-        with clock("optimise"):
-            losses = tuple(float(self._optimise(frame)) for _ in range(self.config.steps))
-        self.localiser.record(frame)
-        self.n_frames += 1
-        return StepReport(frame_index=frame.index, n_seeds=len(seeds), n_gaussians=len(self.gaussians),
-                          is_keyframe=True, losses=losses, seconds=clock.seconds)
+        seeds = self.propose_seeds(self._context(frame, volume=self.volume, near_m=0.1))
+        with self.changes():
+            self.gaussians.append(seeds, frame.index)
+            self.keyframes.append(frame)
+            with self.clock("optimise"):
+                losses = tuple(float(self._optimise(frame)) for _ in range(self.config.steps))
+        return self._report(frame, seeds, True, losses=losses)
 
     def surface(self, camera, T_WC):
         return raycast(self.volume, camera, T_WC)

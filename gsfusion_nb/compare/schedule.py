@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from ..config import SystemConfig, from_dict
-from ..config.values import nested
+from ..config.values import leaves, nested, with_own_settings
 
 C = TypeVar("C")
 
@@ -24,7 +24,7 @@ def with_settings(config: C, values: Mapping[str, Any]) -> C:
     """
     tree = nested({name.replace("-", "_"): value for name, value in values.items()}, ".")
     _whole_as_float(config, tree)
-    return from_dict(type(config), tree, start=config)
+    return with_own_settings(from_dict(type(config), tree, start=config), leaves(tree))
 
 
 def _whole_as_float(config: Any, tree: dict[str, Any]) -> None:

@@ -186,8 +186,9 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         f"{len(run.steps)} frames",
         f"SH degree {config.sh_degree}",
         *(f"{kind} {name}" for kind, name in run.mapper.training.names.items()),
-        *([f"rule {rule_name(run.mapper.rule)}{run.mapper.rule_in_use.memory_note}"] if run.mapper.uses_seeding_rule else []),
     ]
+    if run.mapper.uses_seeding_rule:
+        about.append(f"rule {rule_name(run.mapper.rule)}{run.mapper.rule_in_use.memory_note}")
     data = ReportData(
         title=f"{run.mapper.title} on {run.sequence.name}",
         subtitle=", ".join([*about, f"fidelity {fidelity}"] if fidelity else about),

@@ -15,7 +15,7 @@ from ..constants import SHOWN_ALPHA
 from ..data import SequenceView
 from ..evaluation import ImageScores, score_view
 from ..foreign import read_object, reason_of
-from ..mapping.stored_map import Draw
+from ..mapping.mapper import Draw
 from ..mapping.training import exposure_between
 from ..optim import exposed, fit_gain
 from ..types import Frame, RenderOutput

@@ -8,7 +8,7 @@ import torch
 
 from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, get_system, make_mapper
-from gsfusion_nb.mapping.random_streams import RandomStreams
+from gsfusion_nb.mapping.training import RandomStreams
 from gsfusion_nb.seeding import KEYFRAMES, MapRule, SeedContext, Seeds, When, every, submaps
 
 
