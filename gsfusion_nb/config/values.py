@@ -133,11 +133,11 @@ def fidelity_of(config: Any, variants: Mapping[str, Sequence[Any]]) -> str:
 
 def leaves(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     """Nested values by dotted name; the options of the seeding rule are one value."""
-    leaves: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for name, value in values.items():
         nested = isinstance(value, dict) and name != "options"
-        leaves |= leaves(value, f"{path}{name}.") if nested else {path + name: value}
-    return leaves
+        found |= leaves(value, f"{path}{name}.") if nested else {path + name: value}
+    return found
 
 
 T = TypeVar("T")
@@ -173,7 +173,7 @@ def parse_options(options: type[T], *, prog: str, arguments: list[str], everyday
         arguments = ["--help"]
     elif everyday and {"-h", "--help"} & set(arguments):
         options = _only(everyday, options)
-        options.__doc__ = f"{options.__doc__} --help-all shows every option."
+        options.__doc__ = f"{(options.__doc__ or '').strip()} --help-all shows every option."
     with contextlib.redirect_stdout(cast(TextIO, _Wrapped(sys.stdout))):
         return tyro.cli(options, prog=prog, args=arguments)
 

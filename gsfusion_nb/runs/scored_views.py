@@ -133,7 +133,7 @@ def score_in_map(
         suffix: Appended to the name of the group.
         with_lpips: Also compute LPIPS.
         align: If given, the held-out views are scored once more, as the group held_out_aligned, each at the pose that
-            it returns, at which the map fits the picture best (``StoredMap.aligned_pose``), and as the group
+            it returns, at which the map fits the picture best (``Mapper.aligned_pose``), and as the group
             held_out_fitted with brightness and white balance fitted, too (``fit_gain``).
     """
     metrics: dict[str, Any] = {}

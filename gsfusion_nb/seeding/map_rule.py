@@ -158,10 +158,10 @@ class MapRule(ABC):
     override ``statistics``."""
     overrides: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Settings of the system that the rule brings, by name: ``{"optim__lr_xyz": 1e-4}``. The mapper applies them when
-    it is made, so they are among the settings that are stored and shown. They replace defaults and the values of the
-    presets "room" and "replica". Any other value stays, because the user has chosen it, and so does every setting that
-    ``seeding.own_settings`` names. A setting that the system does not have is an error, except ``keyframe_every``,
-    which counts frames of the recording here: it is divided by the stride."""
+    it is made, so they are among the settings that are stored and shown. They replace defaults and the choices of a
+    fidelity. The values of a data set's preset and what the user sets stay (``seeding.own_settings``). A setting that
+    the system does not have is an error, except ``keyframe_every``, which counts frames of the recording here: it is
+    divided by the stride."""
 
     @abstractmethod
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:

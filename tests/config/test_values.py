@@ -42,10 +42,6 @@ def test_wrong_kinds_are_refused(override, message):
         Group(**override)
 
 
-def test_right_kinds_pass():
-    assert Group(word="right", count=0, switch=True, rate=2).word == "right"
-
-
 def test_layers_of_settings():
     base = from_dict(Group, {"count": 5, "inner": {"sizes": [4, 4]}})
     assert base.inner.sizes == (4, 4)

@@ -138,24 +138,6 @@ def test_a_resumed_run_goes_on_as_if_it_had_not_stopped(system, frames, same):
     same(state_of(again), state_of(resumed))
 
 
-@pytest.mark.parametrize("system", SYSTEMS)
-def test_a_rule_without_after_step_changes_nothing_and_collects_nothing(system, frames, same):
-    @dataclass(frozen=True, kw_only=True)
-    class plain(Base):
-        pass
-
-    def function(ctx: SeedContext):
-        return plain().seeds(ctx, {})
-
-    mappers = [make_mapper(settings(system), seeding=rule) for rule in (plain, function)]
-    for mapper in mappers:
-        assert not mapper.after_steps.is_used
-        for frame in frames[:3]:
-            mapper.step(frame)
-    same(*(mapper.maps() for mapper in mappers))
-    assert not mappers[0].gaussians.memory
-
-
 @pytest.mark.parametrize(
     "needs",
     [(), ("visibility",), ("image_gradients",), ("abs_image_gradients", "image_gradients"), ("visibility", "render")],
@@ -291,30 +273,6 @@ def test_mistakes_are_sentences_and_undo_the_frame(frames, answer, error, senten
     same(before, mapper.state_dict())
 
 
-def test_what_needs_may_name_is_said_when_a_rule_is_made(frames):
-    @dataclass(frozen=True, kw_only=True)
-    class asks_much(Base):
-        needs: ClassVar[frozenset[str]] = frozenset({"gradients"})
-
-    with pytest.raises(
-        TypeError,
-        match=r"its needs must be among visibility, image_gradients, abs_image_gradients, render, got \['gradients'\]",
-    ):
-        make_mapper(settings("gsfusion"), seeding=asks_much)
-
-    @dataclass(frozen=True, kw_only=True)
-    class asks_much_by_its_options(Base):
-        much: bool = True
-
-        def statistics(self):
-            return frozenset({"gradients"}) if self.much else self.needs
-
-    with pytest.raises(
-        TypeError, match=r"'asks_much_by_its_options': statistics\(\) must be among visibility, .*, got"
-    ):
-        make_mapper(settings("gsfusion"), seeding=asks_much_by_its_options)
-
-
 def stop_in(monkeypatch: pytest.MonkeyPatch, mapper: Any, at: int, act: Any) -> None:
     """Call ``act`` at the ``at``-th look for a stop."""
     looks, may_stop = [], mapper.guard.may_stop
@@ -350,24 +308,6 @@ def test_between_two_gradient_steps_a_frame_can_be_given_up(frames, monkeypatch,
         mapper.step(frame)
     same(whole.state_dict(), mapper.state_dict())
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_an_edit_that_changes_no_value_changes_no_step(frames, same):
-    """RTG-SLAM's final passes work on copies of the rows: Adam goes on with its moments although these were made
-    again."""
-
-    @dataclass(frozen=True, kw_only=True)
-    class same_rates(Base):
-        def after_step(self, ctx, stats, memory):
-            return Edit(rates={"sh": torch.ones(len(ctx.map))}, keep=torch.ones(len(ctx.map), dtype=torch.bool))
-
-    mappers = [make_mapper(settings("rtg_slam"), seeding=rule) for rule in (same_rates, Base)]
-    for mapper in mappers:
-        for frame in frames[:3]:
-            mapper.step(frame)
-        assert len(list(mapper.global_optimise(3))) > 4
-    same(*(mapper.maps() for mapper in mappers))
-    assert mappers[0].gaussians.rates["sh"].eq(1).all()
 
 
 def test_moments_go_with_their_rows(frames):

@@ -10,12 +10,11 @@ from gsfusion_nb.cli import main
 from gsfusion_nb.config import gps_slam
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.export import read_gaussian_ply, read_map_glb
-from gsfusion_nb.mapping.gps_surface import CAMERA, baked, fitted, surface_discs
+from gsfusion_nb.mapping.gps_surface import CAMERA, fit_to_pictures, plain_gaussians, surface_discs
 from gsfusion_nb.render import render
 from gsfusion_nb.runs import FinishedRun, run_mapping
 from gsfusion_nb.tsdf import extract_mesh
 from gsfusion_nb.types import Mesh
-from gsfusion_nb.viz import SplatViewer
 
 ROOM: dict[str, Any] = {"n_frames": 480, "width": 80, "height": 60}
 
@@ -44,7 +43,7 @@ def test_the_discs_show_the_surface_and_a_fit_shows_it_better(run):
 
     plain = db(rows)
     assert plain > db(mapper.gaussians.params) + 5
-    better = fitted(rows, mapper.render, poses, 12)
+    better = fit_to_pictures(rows, mapper.render, poses, 12)
     assert db(better) > plain + 1
     assert torch.equal(better.xyz_W, rows.xyz_W)
 
@@ -53,7 +52,7 @@ def test_a_gaussian_in_front_of_an_opaque_surface_is_blended_alike(run):
     """o / (1 + o) in front of C_s is (C_s + o c) / (1 + o)."""
     mapper = run.run.mapper
     o = mapper.gaussians.params.opacity_logit.sigmoid()
-    over = baked(mapper.volume, mapper.gaussians.params)[: len(o)]
+    over = plain_gaussians(mapper.volume, mapper.gaussians.params)[: len(o)]
     torch.testing.assert_close(over.opacity_logit.sigmoid(), o / (1 + o))
     D, known = mapper.volume.interpolate(over.xyz_W)
     before, _ = mapper.volume.interpolate(mapper.gaussians.params.xyz_W)
@@ -81,15 +80,3 @@ def test_a_file_of_a_run_holds_the_surface_unless_it_is_left_out(run, tmp_path: 
     gaussians, mesh = read_map_glb(tmp_path / "map.glb")
     assert len(gaussians) == n
     assert len(mesh.faces) > n
-
-
-def test_the_viewer_shows_the_surface_with_the_gaussians(run):
-    mapper = run.run.mapper
-    viewer = SplatViewer(mapper, width=80, height=60)
-    rows, columns = viewer.shown()
-    n = len(mapper.gaussians)
-    assert torch.equal(rows.sh[:n], mapper.gaussians.params.sh)
-    assert [c["name"] for c in viewer.columns][-1] == "surface"
-    assert columns[:n, -1].max() == 0
-    assert columns[n:, -1].min() == 1
-    assert viewer.picture().mean() > 40

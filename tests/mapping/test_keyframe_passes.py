@@ -30,14 +30,6 @@ def test_each_pass_visits_all_once_in_a_new_order(generator):
     assert (passes.done, passes.queue, passes.begun) == (3, [], True)
 
 
-def test_what_a_step_reports(generator):
-    steps = list(KeyframePasses().run(2, 3, generator, lambda i: torch.tensor(float(i))))
-    assert [s.step for s in steps] == [1, 2, 3, 4, 5, 6]
-    assert [s.pass_index for s in steps] == [0, 0, 0, 1, 1, 1]
-    assert {s.n_steps for s in steps} == {6}
-    assert sorted(s.loss for s in steps) == [0, 0, 1, 1, 2, 2]
-
-
 @pytest.mark.parametrize("stop", [1, 4, 5, 7])
 def test_going_on_after_a_stop_is_the_same_as_no_stop(stop):
     whole = visits(KeyframePasses(), 2, 5, torch.Generator().manual_seed(3))
@@ -50,8 +42,3 @@ def test_going_on_after_a_stop_is_the_same_as_no_stop(stop):
     assert resumed.begun
     left = 2 - resumed.done
     assert first + visits(resumed, left, 5, generator) == whole
-
-
-def test_no_keyframes_or_no_passes(generator):
-    assert visits(KeyframePasses(), 3, 0, generator) == []
-    assert visits(KeyframePasses(), 0, 4, generator) == []

@@ -11,7 +11,6 @@ import torch
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion, HalfMappedError, make_mapper
-from gsfusion_nb.mapping.step import DelayedInterrupt
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.tsdf import FusedView, TsdfVolume
@@ -74,20 +73,6 @@ def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(syst
     for frame in frames:
         never.step(frame)
     same(maps_of(never), maps_of(mapper))
-
-
-def test_a_run_goes_on_when_the_rule_is_repaired(small_room, config, same):
-    """As in a notebook: the cell is changed, and Start is pressed again."""
-    rule = Breaking(at=4)
-    split = apply_options(small_room, config.data)
-    run = MappingRun(split, GSFusion(config, seeding=rule.rule()))
-    with pytest.raises(RuntimeError, match="my rule is broken"):
-        list(run.online())
-    assert run.next_position == len(run.steps) == 3
-    rule.broken = False
-    whole = MappingRun(split, GSFusion(config, seeding=rule.rule()))
-    assert len(list(run.online())) + 3 == len(list(whole.online()))
-    same(maps_of(whole.mapper), maps_of(run.mapper))
 
 
 def test_the_view_before_fusing_finds_what_is_there_after(small_room, config, generator):
@@ -177,19 +162,3 @@ def test_ctrl_c_in_the_rule_ends_the_step_at_once(small_room, config, same):
     with pytest.raises(KeyboardInterrupt):
         mapper.step(small_room[0])
     same(before, mapper.state_dict())
-
-
-def test_signals_are_delivered_by_the_outermost_block():
-    reached = []
-
-    def nested():
-        with DelayedInterrupt():
-            with DelayedInterrupt() as inner:
-                inner.delay()
-                signal.raise_signal(signal.SIGINT)
-            reached.append("the end of the outer block")
-
-    with pytest.raises(KeyboardInterrupt):
-        nested()
-    assert reached
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

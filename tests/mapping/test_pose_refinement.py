@@ -10,7 +10,6 @@ import torch
 from gsfusion_nb import GSFusion, gsfusion
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.optim.keyframes import KeyframeList
 
 SMALL: dict[str, Any] = {
     "tsdf__voxel_size_m": 0.04,
@@ -57,14 +56,6 @@ def test_poses_come_closer_to_the_truth_and_the_given_ones_remain(walk):
         assert torch.equal(keyframe.T_WC, mapper.localiser.poses[row])
 
 
-def test_without_refinement_nothing_moves(walk):
-    _, frames = walk
-    mapper = mapped(frames[:4], False)
-    next(mapper.global_optimise())
-    assert not mapper.localiser.is_refined
-    assert all(torch.equal(k.T_WC, frames[k.index].T_WC) for k in mapper.keyframes)
-
-
 def test_a_resumed_run_has_the_same_poses_bit_for_bit(walk, same):
     _, frames = walk
     whole = mapped(frames[:7], True)
@@ -90,7 +81,7 @@ def test_the_mean_motion_is_taken_back_from_map_and_keyframes(walk):
     mapper.keyframes.move(G.expand(len(mapper.keyframes), 4, 4))
     for k in mapper.keyframes:
         mapper.localiser.refine(k.index, k.T_WC)
-    mapper.refinement.end_pass(mapper.keyframes, mapper.gaussians)
+    mapper.fits.end_pass(mapper.keyframes, mapper.gaussians)
     torch.testing.assert_close(mapper.gaussians.params.xyz_W, xyz_W, atol=1e-5, rtol=0)
     for k in mapper.keyframes:
         torch.testing.assert_close(k.T_WC, frames[k.index].T_WC, atol=1e-5, rtol=0)
@@ -109,13 +100,3 @@ def test_frames_between_keyframes_follow_them(walk):
     torch.testing.assert_close(localiser.refined(1, given[1]), localiser.poses[1])
     beyond = se3.log(se3.inverse(given[7].double()) @ localiser.refined(7, given[7]).double())
     torch.testing.assert_close(beyond, xi[4], atol=1e-6, rtol=0)
-
-
-def test_a_keyframe_is_found_by_its_frame(walk):
-    _, frames = walk
-    keyframes = KeyframeList()
-    for frame in frames[2:5]:
-        keyframes.append(frame)
-    T_WC = torch.eye(4)
-    keyframes.set_pose(3, T_WC)
-    assert [torch.equal(k.T_WC, T_WC) for k in keyframes] == [False, True, False]

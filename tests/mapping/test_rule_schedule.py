@@ -8,7 +8,6 @@ import torch
 
 from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, get_system, make_mapper
-from gsfusion_nb.mapping.training import RandomStreams
 from gsfusion_nb.seeding import KEYFRAMES, MapRule, SeedContext, Seeds, When, every, submaps
 
 
@@ -77,15 +76,6 @@ def test_a_rule_is_asked_only_when_it_is_due(system, when, asked, frames, config
     assert mapper.memory["starts"] == [i == 0 or when == submaps(3) for i in asked]
 
 
-def test_a_rule_for_keyframes_needs_keyframes_that_do_not_depend_on_seeds(frames, config):
-    with pytest.raises(ValueError, match=r"'noting' is asked in keyframes only, .*; set keyframe_every, such as 5"):
-        GSFusion(config, seeding=rule_due(KEYFRAMES))
-    mapper = GSFusion(replace(config, keyframe_every=3), seeding=rule_due(KEYFRAMES))
-    reports = [mapper.step(frame) for frame in frames]
-    assert [report.is_keyframe for report in reports] == [True, False, False, True]
-    assert mapper.memory["asked"] == [frames[0].index, frames[3].index]
-
-
 def test_rtg_slam_knows_its_keyframes_before_the_rule_runs(frames):
     settings = small_rtg_slam(keyframes__rotation_deg=1e-3)
     mapper = RTGSLAM(settings, seeding=rule_due(KEYFRAMES))
@@ -108,13 +98,6 @@ def test_with_keyframe_every_all_rules_get_the_same_steps(frames, config):
         replace(config, keyframe_every=-1)
 
 
-def test_rtg_slam_counts_its_steps(frames):
-    mapper = RTGSLAM(small_rtg_slam(keyframes__rotation_deg=1e-3))
-    first, second = (mapper.step(frame).n_steps for frame in frames[:2])
-    assert first == mapper.config.window.iterations
-    assert second == mapper.config.keyframes.iterations
-
-
 def test_draws_of_a_rule_shift_neither_keyframes_nor_passes(frames, config):
     drawn = []
     for draws in (1, 5):
@@ -127,19 +110,6 @@ def test_draws_of_a_rule_shift_neither_keyframes_nor_passes(frames, config):
         drawn.append((mapper.passes.queue, views, mapper.random.rule.get_state().tolist()))
     assert drawn[0][:2] == drawn[1][:2]
     assert drawn[0][2] != drawn[1][2]
-
-
-def test_the_streams_follow_from_the_seed_and_differ():
-    streams, again, other = RandomStreams(3), RandomStreams(3), RandomStreams(4)
-    numbers = {name: torch.rand(4, generator=generator) for name, generator in vars(streams).items()}
-    assert torch.equal(numbers["keyframes"], torch.rand(4, generator=torch.Generator().manual_seed(3)))
-    assert len({tuple(n.tolist()) for n in numbers.values()}) == 3
-    for name, generator in vars(again).items():
-        assert torch.equal(torch.rand(4, generator=generator), numbers[name])
-        assert not torch.equal(torch.rand(4, generator=getattr(other, name)), numbers[name])
-    again.load_state_dict(streams.state_dict())
-    with pytest.raises(ValueError, match="random streams must be rule, keyframes, passes, got rule"):
-        again.load_state_dict({"rule": streams.rule.get_state()})
 
 
 @pytest.mark.parametrize("system", [GSFusion, RTGSLAM])

@@ -3,9 +3,8 @@
 import dataclasses
 
 import pytest
-import torch
 
-from gsfusion_nb.config import GpsSlamConfig, GSFusionConfig, RtgSlamConfig, gps_slam, gsfusion, rtg_slam
+from gsfusion_nb.config import GpsSlamConfig, GSFusionConfig, RtgSlamConfig
 from gsfusion_nb.config.gsfusion import presets
 from gsfusion_nb.data.room import room
 from gsfusion_nb.errors import BadFrameError
@@ -29,17 +28,6 @@ def test_settings_mapper_and_name_belong_together(name, config, mapper):
     assert type(made) is mapper
     assert made.config is settings
     assert system_of(settings) == system_of(made.config) == name
-
-
-def test_a_rule_is_handed_on():
-    for config in (gsfusion("room"), rtg_slam("room"), gps_slam("room")):
-        assert make_mapper(config, seeding="dense").rule.__name__ == "dense"
-
-
-def test_unknown_system_lists_the_known():
-    with pytest.raises(KeyError, match=r"no system 'rtgslam'; known: gps_slam, gsfusion, .*rtg_slam"):
-        get_system("rtgslam")
-    assert set(SYSTEMS) >= {"gsfusion", "rtg_slam", "gps_slam"}
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
@@ -103,13 +91,3 @@ def test_a_jump_is_measured_in_frames_and_in_seconds(view, seconds, right_m, jum
             mapper.step(later)
     else:
         mapper.step(later)
-
-
-@pytest.mark.parametrize("system", SYSTEMS)
-def test_a_depth_of_65_metres_everywhere_is_doubted_once(system, view):
-    mapper, told = small(system), []
-    for index in range(2):
-        frame = dataclasses.replace(placed(view, index, 0.0), depth_m=torch.full_like(view.depth_m, 65.535))
-        told += [w for w in mapper.step_warnings(frame, mapper.step(frame)) if "--data.depth-max-m" in w]
-    assert len(told) == 1
-    assert "65.5" in told[0]

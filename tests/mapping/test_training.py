@@ -1,7 +1,5 @@
 """A loss and an optimiser that are given to a mapper from outside, in all three systems."""
 
-import dataclasses
-import json
 from typing import Any
 
 import pytest
@@ -153,17 +151,6 @@ def test_a_loss_that_returns_something_else_is_named_and_the_map_is_unchanged(lo
     assert (len(mapper.gaussians), mapper.volume.n_blocks, mapper.n_frames) == (0, 0, 0)
 
 
-def diverging(param, gradient, m, v, steps, *, lr):
-    param += 1.0 if bool((steps >= 1000).all()) else float("nan")
-
-
-def test_an_optimiser_that_makes_nan_later_is_stopped_and_the_map_is_unchanged():
-    mapper = make_mapper(SYSTEMS["gsfusion"], optimiser=diverging)
-    with pytest.raises(ValueError, match="NaN"):
-        mapper.step(open_sequence("room", data=SYSTEMS["gsfusion"].data).mapping[0])
-    assert (len(mapper.gaussians), mapper.n_frames) == (0, 0)
-
-
 @pytest.mark.parametrize("name", list(SYSTEMS))
 def test_a_checkpoint_names_them_and_wants_them_again(name):
     state = mapped(name, loss=charbonnier, optimiser=sgd).state_dict()
@@ -180,38 +167,6 @@ def test_a_checkpoint_names_them_and_wants_them_again(name):
     [note] = system.from_state_dict(state, loss=own_l1, optimiser=sgd).notes
     assert "own_l1" in note
     assert "charbonnier" in note
-
-
-class Counting:
-    """It stores something, which no checkpoint has."""
-
-    def __init__(self):
-        self.calls = 0
-
-    def __call__(self, rendered, view):
-        self.calls += 1
-        return own_l1(rendered, view)
-
-
-def test_what_a_loss_stores_is_noticed_when_a_run_is_resumed():
-    state = mapped("gsfusion", loss=Counting()).state_dict()
-    with pytest.raises(SequenceError, match="Counting"):
-        get_system("gsfusion").from_state_dict(state, loss=Counting())
-
-
-def test_the_files_of_a_run_say_that_it_was_not_the_default(tmp_path):
-    from gsfusion_nb.cli.settings import _read_settings
-
-    config = dataclasses.replace(SYSTEMS["gsfusion"])
-    run = run_mapping("room", config, folder=tmp_path / "own", loss=charbonnier, optimiser=sgd)
-    metrics = json.loads((run.folder / "metrics.json").read_text())["metrics"]
-    assert (metrics["loss"], metrics["optimiser"]) == ("charbonnier", "sgd")
-    assert "loss charbonnier" in (run.folder / "report.html").read_text()
-    with pytest.raises(ValueError, match="charbonnier"):
-        _read_settings(run.folder / "config.json", rule=None)
-    usual = run_mapping("room", config, folder=tmp_path / "usual")
-    assert not {"loss", "optimiser"} & set(json.loads((usual.folder / "metrics.json").read_text())["metrics"])
-    assert _read_settings(usual.folder / "config.json", rule=None) == config
 
 
 class Interrupted(BaseException):

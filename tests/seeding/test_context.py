@@ -11,7 +11,6 @@ from gsfusion_nb.config import SeedingConfig, TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.seeding import SeedContext, check_contexts
-from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera, Frame, Seeds
 
 
@@ -84,28 +83,6 @@ def test_seeds_are_placed_in_the_world():
     assert seeds.opacity.tolist() == pytest.approx([0.7, 0.7])
 
 
-def test_positions_outside_the_image_are_dropped():
-    ctx = SeedContext(frame(torch.full((6, 8), 1.5)))
-    uv = torch.tensor([[-0.1, 1.0], [8.0, 1.0], [1.0, -0.1], [1.0, 6.0], [7.99, 5.99]])
-    assert len(ctx.seeds_at(uv, 1.0)) == 1
-    assert len(ctx.seeds_at(uv[:0], 1.0)) == 0
-
-
-def test_pixels_are_those_with_depth():
-    depth = torch.tensor([[0.0, 1.0], [0.3, 0.4]])
-    assert SeedContext(frame(depth)).pixels().tolist() == [[1.5, 0.5], [1.5, 1.5]]
-
-
-def test_quadtree_cells_are_computed_once_per_setting():
-    ctx = check_contexts()["new"]
-    assert ctx.quadtree_cells() is ctx.quadtree_cells(threshold=ctx.config.quadtree_threshold)
-    fine, coarse = ctx.quadtree_cells(threshold=0.01), ctx.quadtree_cells(threshold=0.2)
-    assert len(fine) > len(ctx.quadtree_cells()) > len(coarse)
-    assert len(ctx.cells(threshold=0.01)) == len(fine)
-    with pytest.raises(ValueError, match=r"unknown settings \['treshold'\]; known: \['contrast', 'min_cell_px', 'thr"):
-        ctx.quadtree_cells(treshold=0.1)
-
-
 def test_normals_face_the_camera_and_turn_with_the_pose():
     T_WC = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, math.pi / 2, 0.0]))
     ctx = SeedContext(frame(torch.full((5, 5), 1.0), T_WC=T_WC))
@@ -122,18 +99,6 @@ def test_volume_lookups():
     assert ctx.voxel_index(xyz).tolist() == [[0, 1, -1], [3, -2, 0]]
     assert ctx.voxel_index(xyz).dtype == torch.int64
     assert ctx.near_m == 0.7
-
-
-def test_lookups_work_on_the_real_volume():
-    volume = TsdfVolume(TsdfConfig(voxel_size_m=0.1))
-    volume.add_blocks(torch.tensor([[-1, 0, 0]]))
-    volume.W[0, 7 * 64 + 8 + 2] = 5.0  # voxel (-1, 1, 2)
-    volume.D[0, 7 * 64 + 8 + 2] = -0.5
-    ctx = SeedContext(frame(torch.ones(2, 2)), volume)
-    xyz = torch.tensor([[-0.05, 0.15, 0.25], [0.05, 0.15, 0.25]])
-    assert ctx.voxel_weight(xyz).tolist() == [5.0, 0.0]
-    assert ctx.tsdf(xyz).tolist() == [-0.5, 1.0]
-    assert ctx.voxel_index(xyz).tolist() == [[-1, 1, 2], [0, 1, 2]]
 
 
 def test_map_view_of_a_gaussian_map():
@@ -162,24 +127,3 @@ def test_render_shows_the_map_where_it_is():
     assert out.first_index is not None
     assert 0 <= out.first_index.max() < len(ctx.map)
     assert float(check_contexts()["new"].render().alpha.max()) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("ask", "sentence"),
-    [
-        (lambda ctx: ctx.voxel_weight(torch.zeros(1, 3)), "voxel_weight needs a TSDF volume"),
-        (lambda ctx: ctx.tsdf(torch.zeros(1, 3)), "tsdf needs a TSDF volume"),
-        (lambda ctx: ctx.voxel_index(torch.zeros(1, 3)), "voxel_index needs a TSDF volume"),
-        (lambda ctx: ctx.map, "map needs a Gaussian map"),
-        (lambda ctx: ctx.render(), r"render\(\) needs a Gaussian map"),
-    ],
-)
-def test_what_is_missing_is_named(ask, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        ask(SeedContext(frame(torch.ones(2, 2))))
-
-
-def test_context_is_read_only():
-    ctx = SeedContext(frame(torch.ones(2, 2)))
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        ctx.volume = None  # pyright: ignore[reportAttributeAccessIssue]

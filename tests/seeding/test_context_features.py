@@ -85,15 +85,6 @@ def test_nearest_neighbours_and_the_usual_size():
     assert alone.nearest(new, 1, "map").distance_m.isinf().all()
 
 
-def test_occupied_voxels():
-    ctx = with_map(torch.tensor([[0.02, -0.02, 1.0], [0.03, -0.02, 1.04]]))
-    points = torch.tensor([[0.0, -0.04, 1.0], [0.06, -0.02, 1.0], [-0.01, -0.02, 1.0]])
-    assert ctx.occupied(points, 0.05).tolist() == [True, False, False]
-    assert ctx.occupied(points, 10.0).tolist() == [True, True, False]
-    assert not SeedContext(frame()).occupied(points, 0.05).any()
-    assert ctx.first_in_voxel(points, 0.1).tolist() == [True, False, True]
-
-
 def one_per_5_cm(ctx: SeedContext) -> Seeds:
     seeds = ctx.seeds_at(ctx.pixels(), 1.0)
     seeds = seeds[~ctx.occupied(seeds.xyz_W, 0.05)]
@@ -141,26 +132,6 @@ def test_orientations_from_normals():
     assert turned[50:, 2].tolist() == pytest.approx([1.0, -1.0, 1.0])
 
 
-def test_ages_and_colours_of_the_map():
-    view = with_map(torch.zeros(2, 3)).map
-    assert view.age_frames is not None
-    assert view.age_steps is not None
-    assert view.age_frames.tolist() == [4, 4]
-    assert view.age_steps.tolist() == [50, 50]
-    torch.testing.assert_close(view.rgb, torch.full((2, 3), 0.25))
-    assert view.sh.shape == (2, 1, 3)
-
-
-def test_values_at_and_pixels_of_a_mask():
-    ctx = SeedContext(frame())
-    mask = torch.zeros(H, W, dtype=torch.bool)
-    mask[3, 4] = mask[5, 6] = True
-    uv = ctx.pixels(mask)
-    assert uv.tolist() == [[4.5, 3.5], [6.5, 5.5]]
-    image = torch.arange(H * W).view(H, W)
-    assert ctx.values_at(image, uv).tolist() == [3 * W + 4, 5 * W + 6]
-
-
 def test_raycast_shows_the_volume_with_the_frame_in_it(small_walk):
     config = dataclasses.replace(gsfusion("room").tsdf, voxel_size_m=0.04)
     volume = TsdfVolume(config)
@@ -178,11 +149,6 @@ def test_raycast_shows_the_volume_with_the_frame_in_it(small_walk):
     assert torch.equal(preview.depth_m, after.depth_m)
     assert torch.equal(after.normal_W, raycast(volume, now.camera, now.T_WC).normal_W)
     assert (after.depth_m > 0).float().mean() > 0.5
-
-
-def test_raycast_needs_a_volume():
-    with pytest.raises(ValueError, match=r"raycast\(\) needs a TSDF volume, but this SeedContext has none"):
-        SeedContext(frame()).raycast()
 
 
 def test_a_mapper_tells_its_rule_about_the_past(small_walk):

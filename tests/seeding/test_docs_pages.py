@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.compare.tune import SIZE_OPTIONS, THIN
-from gsfusion_nb.seeding import MapView, SeedContext, is_built_in, registered, rule_options
+from gsfusion_nb.seeding import MapView, SeedContext, is_built_in, registered
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 RULES = [name for name, rule in registered().items() if is_built_in(rule)]
@@ -31,22 +30,3 @@ def test_the_table_has_every_built_in_rule():
     rows = re.findall(r"^\| \[`(\w+)`\]\(\.\./gsfusion_nb/seeding/rules/(\w+)\.py\)", page, re.MULTILINE)
     assert sorted(name for name, _ in rows) == sorted(RULES)
     assert all(name == file for name, file in rows)
-
-
-@pytest.mark.parametrize("name", RULES)
-def test_the_table_names_the_option_that_sets_the_number(name):
-    page = (DOCS / "seeding_rules.md").read_text(encoding="utf-8")
-    row = re.search(rf"^\| \[`{name}`\].*$", page, re.MULTILINE)
-    assert row is not None
-    option = SIZE_OPTIONS[name].name.split(".")[-1] if name in SIZE_OPTIONS else THIN
-    assert f"`{option}`" in row[0].split(" | ")[-1]
-    assert option in rule_options(name) or name in ("gsfusion", "vg_mapping", "dense")
-
-
-@pytest.mark.parametrize("name", RULES)
-def test_a_rule_says_what_it_does_in_its_first_line(name):
-    doc = inspect.getdoc(registered()[name]) or ""
-    assert doc.splitlines()[0].endswith(".")
-    assert "Source:" in doc
-    missing = [option for option in rule_options(name) if not re.search(rf"^ +{option}: ", doc, re.MULTILINE)]
-    assert missing == []

@@ -1,17 +1,14 @@
 """The rule edge_discs: where its Gaussians are, and how they lie along an edge of the picture."""
 
-import dataclasses
 import math
 
 import pytest
 import torch
 
-from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.geometry import quaternion, se3
-from gsfusion_nb.mapping import make_mapper
-from gsfusion_nb.seeding import SeedContext, apply_rule, check_rule
+from gsfusion_nb.seeding import SeedContext, apply_rule
 from gsfusion_nb.seeding.image_features import structure_directions
-from gsfusion_nb.seeding.rules.edge_discs import hexagonal_grid, odd, quat_along
+from gsfusion_nb.seeding.rules.edge_discs import hexagonal_grid, quat_along
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
@@ -84,23 +81,3 @@ def test_directions_of_a_ramp_and_of_nothing():
     assert structure_directions(torch.rand(1, 1), 3).coherence.shape == (1, 1)
     with pytest.raises(ValueError, match="window_px must be odd"):
         structure_directions(ramp.coherence, 4)
-
-
-def test_it_keeps_the_contract_and_refuses_nonsense():
-    check_rule("edge_discs")
-    assert [odd(w) for w in (0.0, 1.0, 1.9, 2.1, 3.9, 4.1)] == [1, 1, 1, 3, 3, 5]
-    with pytest.raises(ValueError, match="spacing_px must be at least 1"):
-        apply_rule("edge_discs", SeedContext(wall(0)), {"spacing_px": 0.5})
-    with pytest.raises(ValueError, match="stretch must be at least 1"):
-        apply_rule("edge_discs", SeedContext(wall(0)), {"stretch": 0.0})
-
-
-def test_strokes_are_these_discs_with_faster_sizes_and_directions():
-    ctx = SeedContext(wall(30))
-    strokes = apply_rule("edge_strokes", ctx, {"spacing_px": 5.0, "coverage": False})
-    discs = apply_rule("edge_discs", ctx, {"spacing_px": 5.0, "coverage": False})
-    assert len(strokes) > 0
-    assert all(torch.equal(getattr(strokes, f.name), getattr(discs, f.name)) for f in dataclasses.fields(discs))
-    optim = make_mapper(replace(gsfusion(), seeding__rule="edge_strokes")).config.optim
-    assert (optim.lr_log_scale, optim.lr_quat, optim.lr_xyz) == (4e-3, 4e-3, gsfusion().optim.lr_xyz)
-    check_rule("edge_strokes")

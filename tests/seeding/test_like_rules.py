@@ -11,7 +11,7 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import SeedContext, Seeds, StepStats, apply_rule
 from gsfusion_nb.seeding.points import add_up
-from gsfusion_nb.seeding.rules import cone_gs, game, monogs_like, splatam_like, vg_mapping
+from gsfusion_nb.seeding.rules import monogs_like, splatam_like, vg_mapping
 from gsfusion_nb.types import Camera, Frame
 
 
@@ -74,14 +74,6 @@ def test_splatam_like_removes_transparent_and_large_ones(frame, values, prunes):
     if edit is not None:
         assert edit.keep is not None
         assert edit.keep.tolist() == [True, False, True, False, True]
-
-
-def test_splatam_like_allows_larger_ones_where_fewer_are_seeded(frame):
-    ctx = SeedContext(frame, gaussians=model_with([0.5, 0.5], [0.39, 0.41]))
-    edit = splatam_like(share=0.25).after_step(ctx, stats_of(frame), {"scene_radius_m": 2.0})
-    assert edit is not None
-    assert edit.keep is not None
-    assert edit.keep.tolist() == [True, False]
 
 
 def test_monogs_like_clones_splits_and_removes_every_150_steps(frame):
@@ -154,13 +146,6 @@ def placed(opacity: list[float], z: list[float]) -> GaussianModel:
     return model
 
 
-@pytest.mark.parametrize(("step", "kept"), [(100, [False, True]), (101, None)])
-def test_cone_gs_removes_transparent_ones_every_hundred_steps(frame, step, kept):
-    ctx = SeedContext(frame, gaussians=placed([0.005, 0.006], [3.0, 3.0]))
-    edit = cone_gs().after_step(ctx, stats_of(frame, step=step), {})
-    assert (None if edit is None or edit.keep is None else edit.keep.tolist()) == kept
-
-
 @pytest.mark.parametrize(
     ("values", "prunes"), [({}, True), ({"step_in_frame": 2}, False), ({"stage": "passes"}, False)]
 )
@@ -170,15 +155,3 @@ def test_vg_mapping_removes_what_the_frame_sees_through(frame, values, prunes):
     assert (edit is not None) == prunes
     if edit is not None and edit.keep is not None:
         assert edit.keep.tolist() == [False, True, True, False]
-
-
-@pytest.mark.parametrize(
-    ("step", "rgb", "kept"),
-    [(60, 0.1, [False, True, False]), (60, 0.9, [True, True, False]), (31, 0.1, [True, True, False]), (30, 0.1, None)],
-)
-def test_game_removes_stale_and_transparent_ones(frame, step, rgb, kept):
-    """The first is 10 cm in front of the wall, where the picture shows it in another colour; or in its own."""
-    frame = dataclasses.replace(frame, colour=torch.full((6, 8, 3), rgb))
-    ctx = SeedContext(frame, gaussians=placed([0.98, 0.98, 0.09], [2.9, 2.96, 3.0]))
-    edit = game().after_step(ctx, stats_of(frame, step_in_frame=step), {})
-    assert (None if edit is None or edit.keep is None else edit.keep.tolist()) == kept

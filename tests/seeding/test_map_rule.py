@@ -71,88 +71,6 @@ def test_a_class_is_asked_with_its_options_and_the_memory_of_the_context(ctx):
     ctx.memory.clear()
 
 
-def no_dataclass():
-    class Bare(MapRule):
-        def seeds(self, ctx, memory):
-            return ctx.cells()
-
-    return Bare
-
-
-def no_base():
-    class Loose:
-        pass
-
-    return Loose
-
-
-def no_seeds():
-    @dataclass(frozen=True, kw_only=True)
-    class Empty(MapRule):
-        pass
-
-    return Empty
-
-
-def positional():
-    @dataclass(frozen=True)
-    class Placed(MapRule):
-        n: int = 1
-
-        def seeds(self, ctx, memory):
-            return ctx.cells()
-
-    return Placed
-
-
-def no_memory():
-    @dataclass(frozen=True, kw_only=True)
-    class Short(MapRule):
-        def seeds(self, ctx):
-            return ctx.cells()
-
-    return Short
-
-
-def bad_when():
-    @dataclass(frozen=True, kw_only=True)
-    class Late(MapRule):
-        when: ClassVar[Any] = 5
-
-        def seeds(self, ctx, memory):
-            return ctx.cells()
-
-    return Late
-
-
-def no_default():
-    @dataclass(frozen=True, kw_only=True)
-    class Open(MapRule):
-        n: int
-
-        def seeds(self, ctx, memory):
-            return ctx.cells()
-
-    return Open
-
-
-@pytest.mark.parametrize(
-    ("make", "sentence"),
-    [
-        (no_dataclass, r"@dataclass\(frozen=True, kw_only=True\) class Bare\(MapRule\); this one is not a dataclass"),
-        (no_base, r"does not derive from gsfusion_nb\.seeding\.MapRule"),
-        (no_seeds, r"this one lacks seeds\(self, ctx, memory\)"),
-        (positional, "this one was made without kw_only=True"),
-        (no_memory, r"its method must be  def seeds\(self, ctx, memory\) -> Seeds"),
-        (bad_when, r"its when must be EVERY_FRAME, KEYFRAMES, every\(n\) or submaps\(n\), got 5"),
-        (no_default, "option 'n' has no default"),
-    ],
-)
-def test_a_class_that_is_no_rule_is_refused_with_a_sentence(make, sentence):
-    with pytest.raises(TypeError, match=sentence):
-        seeding_rule(make())
-
-
 @pytest.mark.parametrize(
     ("when", "due", "starts"),
     [
@@ -166,13 +84,6 @@ def test_a_class_that_is_no_rule_is_refused_with_a_sentence(make, sentence):
 def test_when_a_rule_is_due(when, due, starts):
     assert [n for n in range(9) if when.is_due(n, n % 5 == 0)] == due
     assert [n for n in range(9) if when.starts_submap(n)] == starts
-
-
-def test_a_rule_for_keyframes_is_not_due_where_they_are_unknown():
-    assert not KEYFRAMES.is_due(0, None)
-    assert EVERY_FRAME.is_due(0, None)
-    with pytest.raises(ValueError, match="frames between two calls of a rule must be >= 1, got 0"):
-        every(0)
 
 
 def test_memory_holds_what_a_checkpoint_can_save(ctx):
@@ -228,12 +139,6 @@ def run_cell(**values) -> Any:
     space = {"__name__": "__main__", **{k: globals()[k] for k in ("seeding_rule", "dataclass", "MapRule", "every")}}
     exec(compile(text, name, "exec"), space | {"ClassVar": ClassVar, "When": type(every(1)), "Mapping": Mapping}, space)
     return space["of_a_cell"]
-
-
-def test_source_of_a_class_in_a_notebook_cell():
-    source = rule_source(run_cell())
-    assert source.startswith("@seeding_rule\n@dataclass(frozen=True, kw_only=True)\nclass of_a_cell(MapRule):")
-    assert source.endswith("return helper(ctx.cells(), self.n)\n")
 
 
 def test_the_fingerprint_of_a_class_sees_options_checks_and_when():

@@ -147,18 +147,6 @@ def test_every_pixel_of_the_first_frame_as_large_as_a_pixel(rule):
     assert (seeds.opacity == 0.5).all()
 
 
-def test_splatam_at_half_resolution_is_splatam_s():
-    seeds = apply_rule("splatam", first(), {"every_px": 2})
-    assert len(seeds) == N // 4
-    torch.testing.assert_close(seeds.scale_m, torch.full((N // 4, 3), 2 * 2.0 / F))
-
-
-def test_a_share_covers_the_same_area():
-    everything, tenth = (apply_rule("splatam", first(), {"share": s}) for s in (1.0, 0.1))
-    area = [float(seeds.scale_m[:, 0].square().sum()) for seeds in (everything, tenth)]
-    assert area[1] == pytest.approx(area[0], rel=1e-3)
-
-
 @pytest.mark.parametrize("rule", ["splatam", "mm3dgs", "gaus_slam", "vtgaussian"])
 def test_with_holes_the_median_over_all_pixels_is_zero(rule):
     """Of 1,200 pixels with depth, 1,100 are 1 cm too far away and 100 1 cm too near; 1,872 have no depth."""
@@ -188,14 +176,6 @@ def test_monogs_draws_a_share_whatever_is_mapped(preset, one_in, point_size):
     near = torch.cdist(seeds.xyz_W.double(), seeds.xyz_W.double()).topk(4, largest=False).values[:, 1:]
     wanted = (near.square().mean(dim=1) * point_size).sqrt()
     torch.testing.assert_close(seeds.scale_m[:, 0].double(), wanted, atol=1e-6, rtol=1e-4)
-
-
-def test_monogs_drops_black_pixels():
-    rgb = torch.full((H, W, 3), 0.5)
-    rgb[:, : W // 2] = 0.003
-    ctx = first(wall(rgb=rgb))
-    seeds = apply_rule("monogs", ctx, {"density": 32.0})
-    assert torch.equal(pixels_of(ctx, seeds), some(N // 2, "right"))
 
 
 def test_gaussian_slam_starts_a_submap_with_random_pixels_gradients_and_edges():
@@ -244,11 +224,6 @@ def test_cg_slam_measures_distances_to_the_map_as_well():
 def pair() -> torch.Tensor:
     """Two places in the image."""
     return torch.tensor([[60.5, 1.5], [50.5, 3.5]])
-
-
-def test_gs_slam_takes_half_of_the_first_frame():
-    assert len(apply_rule("gs_slam", first())) == N // 2
-    assert len(apply_rule("gs_slam", first(), {"share": 0.5})) == N // 4
 
 
 def test_photo_slam_takes_every_corner_with_depth():
@@ -382,13 +357,6 @@ def test_gaus_slam_divides_the_depth_by_the_opacity():
     near = staged(wall(depth_m=torch.full((H, W), 1.5)), alpha=0.7, depth_m=0.7 * 2.0)
     assert len(apply_rule("gaus_slam", near, {"median_factor": 0.5})) == N  # 1.4 m, undivided, is in front of 1.5 m
     assert len(apply_rule("splatam", near, {"median_factor": 0.5})) == 0
-
-
-def test_two_dgs_slam_sizes_before_the_voxel_filter():
-    ctx = first()
-    free = apply_rule("two_dgs_slam", staged(xyz_W=ctx.seeds_at(ctx.pixels()[::2], 1.0).xyz_W), {"share": 1.0})
-    assert 0 < len(free) < N
-    torch.testing.assert_close(free.scale_m[:, 0].median().item(), 2.0 / F, atol=1e-6, rtol=0)
 
 
 def stripes() -> Frame:

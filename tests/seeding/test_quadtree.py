@@ -75,11 +75,6 @@ def test_fully_cut_image_has_the_leaves_of_the_released_code(width, height, size
     assert (int(cells.level.min()), int(cells.level.max())) == (shallowest, deepest)
 
 
-def test_small_image_hardly_splits_at_the_published_threshold(generator):
-    assert len(quadtree(noise(64, 48, generator) // 2)) == 1  # needs a standard deviation of 54, has 37
-    assert len(quadtree(noise(64, 48, generator) // 2, threshold=0.05, contrast="std")) == 256
-
-
 def test_variance_is_that_of_the_pixels(generator):
     cell = noise(7, 5, generator)[1:, 2:]
     expected = cell.numpy().reshape(-1, 3).var(axis=0) @ [0.2989, 0.5870, 0.1140]
@@ -95,50 +90,9 @@ def test_leaves_tile_the_image():
     assert int(cells.area.sum()) == 150 * 111
 
 
-@pytest.mark.parametrize("size", [(1, 1), (2, 2), (3, 100), (100, 3), (640, 480)])
-def test_constant_image_is_one_leaf_even_at_threshold_zero(size):
-    image = torch.full((size[1], size[0], 3), 137, dtype=torch.uint8)
-    assert rows(quadtree(image, threshold=0.0)) == [(0, 0, *size, 0)]
-
-
 def test_flat_sides_are_never_cut(generator):
     assert len(quadtree(noise(1, 500, generator), threshold=0.0)) == 1
     assert len(quadtree(noise(500, 3, generator), threshold=0.0)) == 1
-
-
-def test_cell_properties_and_rows():
-    cells = quadtree(landscape(100, 75), threshold=0.002)
-    assert cells.x0.dtype == cells.level.dtype == torch.int32
-    first = cells[:1]
-    w, h = int(first.width), int(first.height)
-    assert first.centre_uv.tolist() == [[w / 2, h / 2]]
-    assert first.half_diagonal_px.item() == pytest.approx(((w / 2) ** 2 + (h / 2) ** 2) ** 0.5)
-    deep = cells[cells.level == cells.level.max()]
-    assert 0 < len(deep) < len(cells)
-
-
-def test_input_is_untouched(generator):
-    image = noise(50, 40, generator)
-    before = image.clone()
-    quadtree(image, threshold=0.0)
-    assert torch.equal(image, before)
-
-
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"threshold": -0.1}, "threshold must be >= 0, got -0.1"),
-        ({"min_cell_px": 0}, "min_cell_px must be >= 1, got 0"),
-    ],
-)
-def test_wrong_numbers_are_refused(changes, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        quadtree(torch.zeros(4, 4, 3, dtype=torch.uint8), **changes)
-
-
-def test_empty_image_is_refused():
-    with pytest.raises(ValueError, match="at least one pixel"):
-        quadtree(torch.zeros(0, 4, 3, dtype=torch.uint8))
 
 
 @pytest.mark.parametrize(

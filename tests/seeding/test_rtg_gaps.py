@@ -33,25 +33,6 @@ def test_by_hand_with_an_existing_disc():
     torch.testing.assert_close(gaps.size_m, torch.tensor(rms))
 
 
-@pytest.mark.parametrize(("away", "overlaps"), [(2.99, True), (3.01, False)])
-def test_an_existing_disc_reaches_three_radii(away, overlaps):
-    gaps = gaps_around(torch.tensor([[0.01 * away, 0.0, 0.0]]), torch.zeros(1, 3), torch.tensor([0.01]))
-    assert gaps.overlaps.tolist() == [overlaps]
-    wider = gaps_around(torch.tensor([[0.01 * away, 0.0, 0.0]]), torch.zeros(1, 3), torch.tensor([0.01]), reach=2.0)
-    assert wider.overlaps.tolist() == [False]
-
-
-def test_few_points():
-    none = gaps_around(torch.zeros(0, 3), torch.zeros(4, 3), torch.ones(4))
-    assert none.gap_m.shape == (0, 3)
-    assert none.size_m.shape == none.overlaps.shape == (0,)
-    alone = gaps_around(torch.ones(1, 3), *NONE)
-    assert alone.size_m.tolist() == [math.inf]
-    assert alone.overlaps.tolist() == [False]
-    pair = gaps_around(torch.tensor([[0.0, 0, 0], [0.3, 0, 0]]), *NONE)
-    torch.testing.assert_close(pair.gap_m, torch.full((2, 1), 0.3))
-
-
 @pytest.mark.parametrize("copies", [2, 3, 4, 6])
 def test_duplicates_are_each_others_neighbours_and_never_their_own(copies):
     xyz = torch.cat([torch.zeros(copies, 3), torch.tensor([[0.5, 0, 0], [0, 0.7, 0], [0, 0, 0.9]])])
@@ -97,13 +78,3 @@ def test_nearest_by_a_loop(generator):
     torch.testing.assert_close(distance, expected.values[:, :3])
     assert torch.equal(row, expected.indices[:, :3])
     assert torch.equal(nearest(xyz, other, 1)[1], expected.indices[:, :1])
-
-
-def test_nearest_of_too_few():
-    distance, row = nearest(torch.zeros(2, 3), torch.ones(1, 3))
-    torch.testing.assert_close(distance[:, 0], torch.full((2,), math.sqrt(3)))
-    assert torch.isinf(distance[:, 1:]).all()
-    assert row.tolist() == [[0, 0, 0]] * 2
-    distance, row = nearest(torch.zeros(2, 3), torch.zeros(0, 3))
-    assert torch.isinf(distance).all()
-    assert nearest(torch.zeros(0, 3), torch.ones(1, 3))[0].shape == (0, 3)

@@ -47,22 +47,6 @@ def test_registered_by_function_name_and_replaced_by_running_the_cell_again():
     assert rule_options(first) == {"max_depth_m": 1.0}
 
 
-def test_built_in_rules_are_there():
-    assert {"gsfusion", "uniform", "dense", "rtg_slam"} <= set(registered())
-
-
-def test_registry_copy_does_not_reach_the_registry():
-    registered().clear()
-    assert "gsfusion" in registered()
-
-
-def test_unknown_name_lists_the_known_ones():
-    with pytest.raises(
-        KeyError, match=r"no seeding rule 'frist_seen'; known: .*dense, .*gsfusion, .*rtg_slam, .*uniform"
-    ):
-        get_rule("frist_seen")
-
-
 def no_context():
     return some_seeds()
 
@@ -119,11 +103,6 @@ def test_options_and_choices():
     assert rule_options(switches) == {"n": 3, "far": False, "where": "near"}
     assert rule_choices(switches) == {"where": ("near", "far")}
     assert rule_options("gsfusion") == {"required_weight": 1.0, "coverage": True}
-
-
-def test_options_reach_the_rule(ctx):
-    assert len(apply_rule(switches, ctx)) == 3
-    assert len(apply_rule(switches, ctx, {"n": 2, "where": "far"})) == 2
 
 
 @pytest.mark.parametrize(
@@ -198,12 +177,6 @@ def test_one_per_voxel_counts_the_gaussians_of_the_map():
     assert len(keep_one_per_voxel(seeds, voxel, voxel)) == 0
     assert keep_one_per_voxel(seeds, voxel, taken[:0]).tag.tolist() == [0, 1, 2]
     assert len(keep_one_per_voxel(seeds[:0], voxel[:0], taken)) == 0
-
-
-def test_one_per_voxel_without_a_volume_says_so(ctx):
-    alone = dataclasses.replace(ctx, volume=None)
-    with pytest.raises(ValueError, match="voxel_index needs a TSDF volume"):
-        apply_rule("gsfusion", alone, {"coverage": False}, one_per_voxel=True)
 
 
 def test_seeds_too_far_away_are_refused_with_the_row(ctx):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.geometry import se3
 from gsfusion_nb.seeding import SeedContext, apply_rule, check_contexts
 from gsfusion_nb.tsdf.integrate import integrate
 from gsfusion_nb.tsdf.volume import TsdfVolume
@@ -49,15 +49,6 @@ def test_gsfusion_takes_every_unseen_cell():
     assert seeds.tag.unique().tolist() == cells.tag.unique().tolist()
 
 
-def test_dense_takes_every_pixel_once():
-    ctx = check_contexts()["holes"]
-    seeds = apply_rule("dense", ctx)
-    assert len(seeds) == int((ctx.frame.depth_m > 0).sum())
-    torch.testing.assert_close(project(ctx.camera, xyz_C(ctx, seeds)), ctx.pixels(), atol=1e-3, rtol=0)
-    z = xyz_C(ctx, seeds)[:, 2]
-    torch.testing.assert_close(seeds.scale_m[:, 0], z / ctx.camera.fx)
-
-
 def test_uniform_draws_the_fraction_without_replacement():
     ctx = check_contexts()["new"]
     for fraction in (0.05, 0.5, 1.0):
@@ -67,21 +58,6 @@ def test_uniform_draws_the_fraction_without_replacement():
         assert len(torch.unique(seeds.xyz_W, dim=0)) == len(seeds)
         z = xyz_C(ctx, seeds)[:, 2]
         torch.testing.assert_close(seeds.scale_m[:, 0] * ctx.camera.fx / z, torch.full_like(z, (0.5 / fraction) ** 0.5))
-
-
-def test_uniform_repeats_with_the_seed_and_differs_without():
-    ctx = check_contexts()["new"]
-    a, b, c = (
-        apply_rule("uniform", dataclasses.replace(ctx, generator=torch.Generator().manual_seed(s))) for s in (1, 1, 2)
-    )
-    assert torch.equal(a.xyz_W, b.xyz_W)
-    assert not torch.equal(a.xyz_W, c.xyz_W)
-
-
-@pytest.mark.parametrize("fraction", [0.0, -0.1, 1.5])
-def test_uniform_refuses_an_impossible_fraction(fraction):
-    with pytest.raises(ValueError, match="fraction must be above 0 and at most 1"):
-        apply_rule("uniform", check_contexts()["new"], {"fraction": fraction})
 
 
 def mapped(*frames) -> SeedContext:

@@ -113,14 +113,6 @@ def test_when_it_refines_and_resets(model, frame, generator, step, grows, resets
     assert (edit is not None and edit.reset_opacity == 0.01) == resets
 
 
-def test_a_refining_that_falls_between_two_calls_is_not_lost(model, frame, generator):
-    """RTG-SLAM's map is written after many steps; the call after the 600th step refines."""
-    seen(model, frame, generator)
-    ctx, memory = SeedContext(frame, gaussians=model, generator=generator), {"step": 580}
-    assert default_strategy().after_step(ctx, told(frame, 631), memory) is not None
-    assert default_strategy().after_step(ctx, told(frame, 681), memory) is None
-
-
 @pytest.fixture(scope="module")
 def gsplat() -> Any:
     with warnings.catch_warnings():

@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from ...checks import check_name
-from ...config.option_help import parse_options
+from ...config.values import parse_options
 from ...data.lens import CameraModel
 from ...data.recorded.times import judge_stamps
 from ...data.sequence import BadFrameError, SequenceError

@@ -145,7 +145,7 @@ def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
 
 def test_gsfusion_starts_little_besides_the_optimisation(gpu, monkeypatch):
     mapper = GSFusion(gsfusion_settings(), device="cuda")
-    monkeypatch.setattr(mapper, "_optimise_online", lambda *_: ([], []))
+    monkeypatch.setattr(mapper, "_optimise_online", lambda *_: [])
     for frame in frames(2):
         gpu.clear()
         mapper.step(frame)
