@@ -331,7 +331,7 @@ from gsfusion_nb import gsfusion
 assert gsfusion("room", tsdf__toy_m=0.3).tsdf.toy_m == 0.3
 assert gsfusion("room", optim__toy_steps=4).optim.toy_steps == 4
 try:
-    cli.main(["map", "--help"])
+    cli.main(["map", "--help-all"])
 except SystemExit:
     pass
 """

@@ -65,7 +65,12 @@ def commands(page: Path) -> list[str]:
 def help_of(*arguments: str) -> str:
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
-        cli.main([*arguments, "--help"])
+        cli.main(
+            [
+                *arguments,
+                "--help-all" if arguments[:1] in (("map",), ("live",)) and arguments != ("live",) else "--help",
+            ]
+        )
     return out.getvalue()
 
 

@@ -50,7 +50,11 @@ def test_preset_is_a_start_that_options_override(tmp_path, capsys):
         main(["map", "room", "--preset", "tum", "--help"])
     assert stop.value.code == 0
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "Usual: 0 to 20. (default: 20)" in text
+    assert "--optim.global-iterations" in text
+    assert "(default: 20)" in text
+    assert "--help-all" in text
+    assert "--optim.lr-xyz" not in text
+    assert text.count(" --") < 40
 
 
 @pytest.mark.parametrize(
