@@ -175,6 +175,8 @@ def settings_with_rule(config: S, rule: SeedingRule) -> S:
     """
     config = _with_options(config, rule)
     changes = _changes_by(rule, config)
+    if not changes:
+        return config
     for name, value in changes.items():
         log.info("the seeding rule %r sets %s = %s, was %s", rule_name(rule), name, value, _value(config, name))
     try:
