@@ -1,6 +1,7 @@
 """The command ``gsfusion-nb`` and what its first word means: demo, convert, check, map, live, and so on."""
 
 import logging
+import os
 import sys
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -177,7 +178,10 @@ def _main(arguments: list[str]) -> int:
         if isinstance(e, BrokenPipeError) and reader_gone.nobody_reads():
             raise
         text = e.args[0] if isinstance(e, KeyError) and e.args else e
-        if not (isinstance(e, BackendUnavailable) or is_foreseen(e)):
+        if isinstance(e, PermissionError) and e.filename:
+            place = os.path.abspath(os.fsdecode(e.filename))
+            text = f"permission denied: {place}; expected to read it, or to write there: --out names another folder"
+        elif not (isinstance(e, BackendUnavailable) or is_foreseen(e)):
             text = unforeseen(e, f"gsfusion-nb {name}", rest)
         print(f"gsfusion-nb {name}: {text}", file=sys.stderr)
         for note in getattr(e, "__notes__", ()):

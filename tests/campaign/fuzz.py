@@ -172,7 +172,10 @@ def _child(campaign: Campaign, numbers: list[int], write: int) -> None:
         for i in numbers:
             folder = campaign.root / f"inputs/{i}"
             folder.parent.mkdir(exist_ok=True)
-            kind, text = campaign.judge(i, folder)
+            try:
+                kind, text = campaign.judge(i, folder)
+            except Hang as e:
+                kind, text = "hangs", "while it was made or measured: " + "".join(traceback.format_exception(e))[-900:]
             told.write(json.dumps([i, kind, text]) + "\n")
             shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)
@@ -186,8 +189,11 @@ def run(campaign: Campaign, numbers: list[int], keep: Path | None = None) -> Fig
         read, write = os.pipe()
         child = os.fork()
         if child == 0:
-            os.close(read)
-            _child(campaign, batch, write)
+            try:
+                os.close(read)
+                _child(campaign, batch, write)
+            finally:
+                os._exit(1)  # or the end of the parent's blocks would remove its corpus
         os.close(write)
         done = _listen(child, read, figures)
         status = os.waitpid(child, 0)[1]

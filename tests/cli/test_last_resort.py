@@ -46,6 +46,18 @@ def test_without_a_run_folder_the_log_is_a_temporary_file(tmp_path, capsys, monk
     assert len(list(tmp_path.glob("gsfusion-nb-check-*.log"))) == 1
 
 
+def test_a_folder_without_permission_is_named_in_full(tmp_path, capsys, monkeypatch):
+    def refused(arguments):
+        raise PermissionError(13, "Permission denied", "runs")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "_map", refused)
+    assert cli.main(["map", "room"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"gsfusion-nb map: permission denied: {tmp_path / 'runs'}; expected")
+    assert "--out" in said
+
+
 def test_sentences_stay_as_they_are(tmp_path, capsys):
     assert cli.main(["map", str(tmp_path / "nowhere")]) == 1
     assert "unexpected error" not in capsys.readouterr().err
