@@ -37,9 +37,8 @@ from ..seeding import (
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
-from .after_steps import AfterSteps
 from .localiser import Localiser, move_map
-from .rule import RuleInUse, check_known, settings_of_run, settings_with_rule
+from .rule import AfterSteps, RuleInUse, check_known, settings_of_run, settings_with_rule
 from .step import FrameGuard, GlobalStep, MapPart, StageClock, StepReport, SurfaceImage, check_frame, psnr_from_mse
 from .training import KeyframePasses, LossFunction, RandomStreams, Training, given_functions
 

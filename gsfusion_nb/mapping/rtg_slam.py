@@ -20,8 +20,8 @@ from ..seeding import SeedContext
 from ..tracking import Correction
 from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
-from .after_steps import WatchedStep
 from .mapper import Mapper
+from .rule import WatchedStep
 from .step import StepReport, check_frame, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser
 

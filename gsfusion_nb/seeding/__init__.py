@@ -15,13 +15,6 @@ from .check import check_contexts as check_contexts
 from .check import check_rule as check_rule
 from .context import SeedContext as SeedContext
 from .context import VoxelLookup as VoxelLookup
-from .map_rule import EVERY_FRAME as EVERY_FRAME
-from .map_rule import KEYFRAMES as KEYFRAMES
-from .map_rule import MapRule as MapRule
-from .map_rule import StepStats as StepStats
-from .map_rule import When as When
-from .map_rule import every as every
-from .map_rule import submaps as submaps
 from .points import MapView as MapView
 from .points import Neighbours as Neighbours
 from .points import abs_image_gradient as abs_image_gradient
@@ -30,9 +23,15 @@ from .points import restart_statistics as restart_statistics
 from .points import times_visible as times_visible
 from .quadtree import Cells as Cells
 from .quadtree import quadtree as quadtree
+from .rule import EVERY_FRAME as EVERY_FRAME
+from .rule import KEYFRAMES as KEYFRAMES
+from .rule import MapRule as MapRule
 from .rule import Option as Option
 from .rule import SeedingRule as SeedingRule
+from .rule import StepStats as StepStats
+from .rule import When as When
 from .rule import check_options as check_options
+from .rule import every as every
 from .rule import get_rule as get_rule
 from .rule import is_map_rule as is_map_rule
 from .rule import option_paths as option_paths
@@ -42,6 +41,7 @@ from .rule import rule_choices as rule_choices
 from .rule import rule_name as rule_name
 from .rule import rule_options as rule_options
 from .rule import seeding_rule as seeding_rule
+from .rule import submaps as submaps
 from .rule_code import DeclaredFiles as DeclaredFiles
 from .rule_code import UndeclaredFileError as UndeclaredFileError
 from .rule_code import is_built_in as is_built_in

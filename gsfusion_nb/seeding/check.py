@@ -24,9 +24,19 @@ from ..tsdf import RaycastOutput, TsdfVolume, integrate
 from ..types import Camera, Frame, GaussianParams, Seeds
 from .apply import ChangedInputError, apply_rule, check_memory, context_tensors, copy_memory, equal_memories
 from .context import SeedContext
-from .map_rule import MapRule, StepStats, check_needs
 from .points import add_up
-from .rule import Option, SeedingRule, get_rule, is_map_rule, rule_choices, rule_name, rule_options
+from .rule import (
+    MapRule,
+    Option,
+    SeedingRule,
+    StepStats,
+    check_needs,
+    get_rule,
+    is_map_rule,
+    rule_choices,
+    rule_name,
+    rule_options,
+)
 from .rule_code import rule_fingerprint
 
 _TSDF = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)

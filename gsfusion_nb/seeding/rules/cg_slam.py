@@ -5,8 +5,7 @@ from typing import Any, ClassVar
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import MapRule, When, every
-from ..rule import seeding_rule
+from ..rule import MapRule, When, every, seeding_rule
 from ..sampling import sized_by_neighbours
 
 

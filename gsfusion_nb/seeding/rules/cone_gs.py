@@ -6,8 +6,7 @@ from typing import Any
 from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import MapRule, StepStats
-from ..rule import seeding_rule
+from ..rule import MapRule, StepStats, seeding_rule
 from ..sampling import sized_by_neighbours
 
 OPACITY, MIN_OPACITY, PRUNE_EVERY = 0.1, 0.005, 100

@@ -10,9 +10,8 @@ from torch import Tensor
 from ...gaussians import SPLIT_SHRINKS, Edit
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import MapRule, StepStats
 from ..points import abs_image_gradient, image_gradient, restart_statistics
-from ..rule import seeding_rule
+from ..rule import MapRule, StepStats, seeding_rule
 from ..sampling import one_pixel_seeds, unmapped_pixels
 from .edge_discs import edge_discs
 from .gsfusion import gsfusion

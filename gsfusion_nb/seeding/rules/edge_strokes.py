@@ -6,8 +6,7 @@ from typing import Any, ClassVar
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import MapRule
-from ..rule import seeding_rule
+from ..rule import MapRule, seeding_rule
 from .edge_discs import edge_discs
 
 

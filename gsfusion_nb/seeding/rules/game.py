@@ -7,8 +7,7 @@ from typing import Any, ClassVar
 from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import KEYFRAMES, MapRule, StepStats, When
-from ..rule import seeding_rule
+from ..rule import KEYFRAMES, MapRule, StepStats, When, seeding_rule
 from ..sampling import in_front, sized_by_neighbours, unmapped_pixels
 
 

@@ -8,8 +8,7 @@ from torch import Tensor
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import MapRule, When, every
-from ..rule import seeding_rule
+from ..rule import MapRule, When, every, seeding_rule
 from ..sampling import pushed_back, sized_by_neighbours, unmapped_pixels
 
 GRADIENT_POINTS = 50_000

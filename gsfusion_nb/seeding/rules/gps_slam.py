@@ -11,8 +11,7 @@ from torch import Tensor
 from ...geometry import normals_at, se3
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import MapRule, When, every
-from ..rule import seeding_rule
+from ..rule import MapRule, When, every, seeding_rule
 from ..sampling import as_discs, sized_by_neighbours
 
 MAX_DEPTH_M = 5.0

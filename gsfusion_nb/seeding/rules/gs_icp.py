@@ -9,8 +9,7 @@ import torch
 from ...geometry import quaternion, se3
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import EVERY_FRAME, MapRule, When
-from ..rule import seeding_rule
+from ..rule import EVERY_FRAME, MapRule, When, seeding_rule
 from ..sampling import MIN_SPACING_M
 
 PRESETS = {"replica": (10, 5e-4, 0.7), "tum": (5, 1e-3, 0.81)}

@@ -12,8 +12,7 @@ from ...gaussians import Edit, shared
 from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import MapRule, StepStats
-from ..rule import seeding_rule
+from ..rule import MapRule, StepStats, seeding_rule
 from .default_strategy import strategy_seeds
 
 

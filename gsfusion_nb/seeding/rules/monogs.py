@@ -6,8 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import KEYFRAMES, MapRule, When
-from ..rule import seeding_rule
+from ..rule import KEYFRAMES, MapRule, When, seeding_rule
 from ..sampling import sized_by_neighbours
 
 PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}

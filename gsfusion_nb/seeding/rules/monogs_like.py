@@ -9,9 +9,8 @@ import torch
 from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import KEYFRAMES, MapRule, StepStats, When
 from ..points import restart_statistics
-from ..rule import seeding_rule
+from ..rule import KEYFRAMES, MapRule, StepStats, When, seeding_rule
 from .monogs import monogs
 
 LARGEST = "largest_radius_px"

@@ -15,8 +15,7 @@ from ...render import render
 from ...types import Seeds
 from ..context import SeedContext
 from ..image_features import absolute_laplacian, disc_blur, halved
-from ..map_rule import KEYFRAMES, MapRule, When
-from ..rule import seeding_rule
+from ..rule import KEYFRAMES, MapRule, When, seeding_rule
 
 BLUR_PX = 3.5
 """The release's disc has radius 3: the pixels whose centres are within 3.5."""

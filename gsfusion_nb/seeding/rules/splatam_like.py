@@ -8,8 +8,7 @@ from ...constants import SH_C0
 from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import EVERY_FRAME, MapRule, StepStats, When
-from ..rule import seeding_rule
+from ..rule import EVERY_FRAME, MapRule, StepStats, When, seeding_rule
 from .splatam import splatam
 
 RADIUS = "scene_radius_m"

@@ -8,8 +8,7 @@ import torch
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import KEYFRAMES, MapRule, When
-from ..rule import seeding_rule
+from ..rule import KEYFRAMES, MapRule, When, seeding_rule
 from ..sampling import as_discs, sized_by_neighbours
 
 OPACITY = 0.999

@@ -11,8 +11,7 @@ from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
 from ..image_features import box_blur
-from ..map_rule import MapRule, StepStats
-from ..rule import seeding_rule
+from ..rule import MapRule, StepStats, seeding_rule
 from ..sampling import in_front
 
 SSIM_PX, SSIM_C1, SSIM_C2 = 5, 0.01**2, 0.03**2

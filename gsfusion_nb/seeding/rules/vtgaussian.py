@@ -8,8 +8,7 @@ import torch
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..map_rule import EVERY_FRAME, MapRule, When
-from ..rule import seeding_rule
+from ..rule import EVERY_FRAME, MapRule, When, seeding_rule
 from ..sampling import one_pixel_seeds, pixel_radius, pushed_back, unmapped_pixels
 
 PUSH_BACK = 1.005
