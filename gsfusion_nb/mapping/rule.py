@@ -43,7 +43,6 @@ from ..seeding.points import add_up
 from ..seeding.rule import check_needs
 from ..types import Camera, Frame
 
-
 log = logging.getLogger(__name__)
 
 S = TypeVar("S", bound=SystemConfig)
