@@ -127,10 +127,10 @@ class ViewRound:
 
     def _share(self, in_round: int, n_frames: int) -> int:
         """The part of what is done in a round that belongs to a frame."""
-        place = n_frames % self.config.every_frames
+        position = n_frames % self.config.every_frames
         if not self.config.spread:
-            return in_round if n_frames and place == 0 else 0
-        return _share(in_round, place, self.config.every_frames)
+            return in_round if n_frames and position == 0 else 0
+        return _share(in_round, position, self.config.every_frames)
 
     @property
     def _turns_of_window(self) -> int:
@@ -146,11 +146,11 @@ class ViewRound:
                     self._turns_of_window + self.config.keyframes, generator=generator
                 ).tolist()
             turn = self._turns.pop(0)
-            kind, place = self.window, turn % self.config.window
+            kind, position = self.window, turn % self.config.window
             if turn >= self._turns_of_window:
-                kind, place = self.recalled, turn - self._turns_of_window
-            if place < len(kind):
-                return kind[place]
+                kind, position = self.recalled, turn - self._turns_of_window
+            if position < len(kind):
+                return kind[position]
 
     def forget(self) -> None:
         """Leave out all views, because their poses have changed."""
@@ -185,9 +185,9 @@ class ViewRound:
         self._turns = list(state["turns"])
 
 
-def _share(in_round: int, place: int, every: int) -> int:
-    """What the frame at ``place`` does of what is spread evenly over the ``every`` frames of a round."""
-    return in_round * (place + 1) // every - in_round * place // every
+def _share(in_round: int, position: int, every: int) -> int:
+    """What the frame at ``position`` does of what is spread evenly over the ``every`` frames of a round."""
+    return in_round * (position + 1) // every - in_round * position // every
 
 
 def _even_steps(config: ScheduleConfig) -> list[int]:
@@ -196,14 +196,14 @@ def _even_steps(config: ScheduleConfig) -> list[int]:
     The first frame also seeds. The TSDF is looked at there, at the frames of the window and at recalled keyframes.
     """
     every = config.every_frames
-    looks = [(place % config.window_every == 0) + _share(config.recalled, place, every) for place in range(every)]
+    looks = [(k % config.window_every == 0) + _share(config.recalled, k, every) for k in range(every)]
     work = [LOOK_STEPS * n for n in looks]
     work[0] += SEEDING_STEPS
     steps = [0] * every
     for _ in range(config.iterations):
-        place = work.index(min(work))
-        work[place] += 1
-        steps[place] += 1
+        position = work.index(min(work))
+        work[position] += 1
+        steps[position] += 1
     return steps
 
 

@@ -60,7 +60,7 @@ class SurfelOptimiser:
         self.discs = discs
         self._model = model
         others = ~trained if drawn is None else drawn & ~trained
-        self._n_held = int((trained & model.is_transparent).sum())
+        self._n_anchored = int((trained & model.is_transparent).sum())
         if seen is not None:
             trained, others = trained & seen, others & seen
         self.rows = trained.nonzero().squeeze(1)
@@ -86,10 +86,10 @@ class SurfelOptimiser:
         self.picture: Tensor | None = None
         """The picture [H, W, 3] before the last step."""
         self._is_trained = torch.arange(len(self.params), device=trained.device) < self.n
-        self._held = (self.trained.opacity_logit < 0).nonzero().squeeze(1)
+        self._anchored = (self.trained.opacity_logit < 0).nonzero().squeeze(1)
         born = model.anchor
         start = born if w.anchor == "birth" else {name: getattr(model.params, name) for name in _GEOMETRY}
-        self._anchor = {name: start[name][self.rows[self._held]].clone() for name in _GEOMETRY}
+        self._anchor = {name: start[name][self.rows[self._anchored]].clone() for name in _GEOMETRY}
 
     def touched(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Bool[Tensor, "H W"]:
         """Pixels that a trained row covers, even if other rows hide it."""
@@ -181,9 +181,9 @@ class SurfelOptimiser:
 
     def _add_regulariser(self, g: GaussianParams) -> None:
         """Add the gradient of w_reg times the mean squared distance of transparent rows to their anchors."""
-        if not len(self._held):
+        if not len(self._anchored):
             return
         for name in _GEOMETRY:
-            away = getattr(self.trained, name)[self._held] - self._anchor[name]
-            n = self._n_held * away.shape[1]
-            getattr(g, name)[self._held] += 2 * self.config.weight_regulariser / n * away
+            away = getattr(self.trained, name)[self._anchored] - self._anchor[name]
+            n = self._n_anchored * away.shape[1]
+            getattr(g, name)[self._anchored] += 2 * self.config.weight_regulariser / n * away

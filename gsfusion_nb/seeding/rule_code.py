@@ -360,17 +360,22 @@ def file_source(rule: SeedingRule) -> str:
 
 def _load(source: str, name: str, file: str) -> types.ModuleType:
     module = types.ModuleType(name)
-    module.__file__ = place = f"<{Path(file).name} {name[-16:]}>"
+    module.__file__ = file_name = f"<{Path(file).name} {name[-16:]}>"
     module.__dict__["__rule_source__"] = source
-    linecache.cache[place] = (len(source), None, source.splitlines(keepends=True), place)  # for its source in reports
+    linecache.cache[file_name] = (
+        len(source),
+        None,
+        source.splitlines(keepends=True),
+        file_name,
+    )  # for its source in reports
     sys.modules[name] = module  # dataclasses look there
     try:
         with keep_registered() as before:
-            exec(compile(source, place, "exec"), module.__dict__)
+            exec(compile(source, file_name, "exec"), module.__dict__)
             own = [rule_name(rule) for key, rule in registered().items() if before.get(key) is not rule]
     except Exception as e:
         del sys.modules[name]
-        lines = [frame.lineno for frame in traceback.extract_tb(e.__traceback__) if frame.filename == place]
+        lines = [frame.lineno for frame in traceback.extract_tb(e.__traceback__) if frame.filename == file_name]
         line = e.lineno if isinstance(e, SyntaxError) else (lines[-1] if lines else None)
         where = file if line is None else f"{file}, line {line}"
         raise ValueError(f"{where}: {type(e).__name__}: {getattr(e, 'msg', e)}") from None
