@@ -20,13 +20,13 @@ from torch import Tensor
 from ...foreign import read_object
 from ...types import Camera
 from ..recorded.files import camera, require, table
+from ..recorded.poses import GL_TO_CV
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..sequence import SequenceError, SequenceNotFoundError
 
 LOOKS_FOR = ("nerfstudio/transforms_undistorted*.json", "train_test_lists.json")
 DEPTH_SCALE = 1000.0
 _SUFFIX = {"half": "_2", "full": ""}
-_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
 
 def scannetpp(
@@ -75,7 +75,7 @@ def scannetpp(
         rgb_files=[images / n for n in names],
         depth_files=[depths / f"{Path(n).stem}.png" for n in names],
         timestamps_s=[float(i) for i in range(len(names))],
-        poses=torch.stack([matrices[n] for n in names]) @ _GL_TO_CV,
+        poses=torch.stack([matrices[n] for n in names]) @ GL_TO_CV,
         pose_sources=[f"{json_file} frame {n}" for n in names],
         depth_scale=DEPTH_SCALE,
         novel=frozenset(range(n_train, len(names))) if split == "all" else frozenset(),

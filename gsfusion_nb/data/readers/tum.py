@@ -7,7 +7,6 @@ rgbd_dataset_freiburg1_desk/
 """
 
 import logging
-import math
 from collections import Counter
 from pathlib import Path
 
@@ -19,9 +18,9 @@ from ...errors import shown
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
 from ..recorded.files import given_name, natural_order, own_names, require
-from ..recorded.poses import interpolate_rows, matrices, no_poses, read_stamped_poses, read_words
+from ..recorded.poses import interpolate_rows, matrices, no_poses, read_stamped_poses
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..recorded.times import associate, judge_stamps
+from ..recorded.times import associate, judge_stamps, read_image_list
 from ..sequence import SequenceError
 
 log = logging.getLogger(__name__)
@@ -130,18 +129,7 @@ def benchmark_camera(folder: Path) -> str:
 
 def _stream(path: Path) -> tuple[list[float], list[Path]]:
     """Times and files of a list with lines "timestamp filename"."""
-    stamps, files = [], []
-    for number, words in read_words(path, "lines 'timestamp filename'"):
-        try:
-            stamp, name = float(words[0]), words[1]
-        except (ValueError, IndexError):
-            raise SequenceError(
-                f"{path} line {number} must be 'timestamp filename', got {shown(' '.join(words))}"
-            ) from None
-        if not math.isfinite(stamp):
-            raise SequenceError(f"{path} line {number} must begin with a time in seconds, got {words[0]}")
-        stamps.append(stamp)
-        files.append(path.parent / name)
+    stamps, files = read_image_list(path)
     if len(set(stamps)) != len(stamps):
         twice = next(t for t, n in Counter(stamps).items() if n > 1)
         log.warning("%s lists the time %.6f s more than once; each image is used at most once", path, twice)

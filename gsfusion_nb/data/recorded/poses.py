@@ -15,6 +15,8 @@ from ...geometry import quaternion
 from ...operands import check_place
 from ..sequence import BadFrameError, SequenceError
 
+GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+"""T GL_TO_CV is a camera-to-world pose in OpenCV axes, where T has OpenGL's (y up, z backward)."""
 MAX_RIGIDITY_ERROR = 1e-3
 """Largest entry of R R^T - I that still counts as a rotation: poses printed with 4 decimals pass."""
 
@@ -91,23 +93,48 @@ def read_stamped_poses(path: Path) -> tuple[Float[Tensor, " N"], Float[Tensor, "
         SequenceError: a row that is not 8 numbers, a quaternion whose length is not 1 within 1e-2, or two different
             poses at one time.
     """
-    table = read_rows(path, 8, "timestamp tx ty tz qx qy qz qw")
-    table = table[torch.isfinite(table).all(dim=1)]
+    table, _ = checked_rows(read_rows(path, 8, "timestamp tx ty tz qx qy qz qw"), path)
+    return table[:, 0].contiguous(), table[:, 1:]
+
+
+def checked_rows(
+    table: Float[Tensor, "N 8"], path: Path, *, ordered: bool = False
+) -> tuple[Float[Tensor, "M 8"], list[str]]:
+    """Rows ``t tx ty tz qx qy qz qw`` in order of time, each time once, and sentences on what was left out.
+
+    Raises:
+        SequenceError: a quaternion whose length is not 1 within 1e-2, two different poses at one time, or, if they must
+            be ``ordered``, times that go back.
+    """
+    finite = torch.isfinite(table).all(dim=1)
+    lost = int((~finite).sum())
+    notes = [f"{path}: {lost} of {len(table)} poses are NaN and count as lost"] if lost else []
+    table = table[finite]
+    back = (table[1:, 0] < table[:-1, 0]).nonzero()
+    if len(back) and ordered:
+        i = int(back[0])
+        raise SequenceError(
+            f"{path}: the time {float(table[i + 1, 0]):.9g} comes after {float(table[i, 0]):.9g}; expected increasing "
+            "times: sort the file by its first column, and split it if it holds several trajectories"
+        )
     length = table[:, 4:].norm(dim=1)
     bad = ((length - 1).abs() > 1e-2).nonzero()
     if len(bad):
         t, wrong = float(table[int(bad[0]), 0]), float(length[int(bad[0])])
         raise SequenceError(
-            f"{path}: the pose at {t:.6f} s must end in a unit quaternion, got one of length {wrong:.3g}"
+            f"{path}: the pose at {t:.16g} must hold a unit quaternion, got one of length {wrong:.3g}; expected the "
+            "columns t tx ty tz qx qy qz qw"
         )
     table = table[table[:, 0].argsort(stable=True)]
     again = table[1:, 0] == table[:-1, 0]
     differs = again & (table[1:] != table[:-1]).any(dim=1)
     if bool(differs.any()):
         t = float(table[1:, 0][differs][0])
-        raise SequenceError(f"{path} has two different poses at {t:.6f} s; expected every time once")
-    table = table[torch.cat([~again.new_zeros(1), ~again])] if len(table) else table
-    return table[:, 0].contiguous(), table[:, 1:]
+        raise SequenceError(f"{path} has two different poses at the time {t:.16g}; expected every time once")
+    if bool(again.any()):
+        t = float(table[1:, 0][again][0])
+        notes.append(f"{path}: {int(again.sum())} rows repeat the one before, the first at the time {t:.16g}")
+    return (table[torch.cat([~again.new_zeros(1), ~again])] if len(table) else table), notes
 
 
 def matrices(rows: Float[Tensor, "N 7"]) -> Float[Tensor, "N 4 4"]:

@@ -14,6 +14,10 @@ from ...errors import shown
 from ..sequence import SequenceError
 from .poses import image_key, read_words
 
+log = logging.getLogger(__name__)
+
+TIMES = "times.txt"
+
 
 def associate(first_s: list[float], second_s: list[float], *, max_difference_s: float = 0.02) -> list[tuple[int, int]]:
     """Pairs (i, j) of the entries of two streams that are nearest in time, each entry used at most once.
@@ -33,9 +37,7 @@ def associate(first_s: list[float], second_s: list[float], *, max_difference_s: 
     times = [second_s[j] for j in order]
     candidates = []
     for i, t in enumerate(first_s):
-        k = bisect.bisect_left(
-            times, t - 2 * max_difference_s
-        )  # a little wider, so that rounding excludes no candidate
+        k = bisect.bisect_left(times, t - 2 * max_difference_s)  # wider, so that rounding excludes no candidate
         while k < len(times) and times[k] <= t + 2 * max_difference_s:
             if abs(times[k] - t) <= max_difference_s:
                 candidates.append((abs(times[k] - t), i, order[k]))
@@ -49,9 +51,23 @@ def associate(first_s: list[float], second_s: list[float], *, max_difference_s: 
     return sorted(pairs.items(), key=lambda pair: first_s[pair[0]])
 
 
-log = logging.getLogger(__name__)
+def read_image_list(path: Path) -> tuple[list[float], list[Path]]:
+    """Numbers, finite but not yet judged to be times, and files of a list with lines "timestamp filename".
 
-TIMES = "times.txt"
+    Raises:
+        SequenceError: another line; names the file and the line.
+    """
+    numbers, files = [], []
+    for number, words in read_words(path, "lines 'timestamp filename'"):
+        try:
+            value, image = float(words[0]), path.parent / words[1]
+        except (ValueError, IndexError):
+            value, image = math.nan, path
+        if not math.isfinite(value):
+            raise SequenceError(f"{path} line {number} must be 'timestamp filename', got {shown(' '.join(words))}")
+        numbers.append(value)
+        files.append(image)
+    return numbers, files
 
 
 def times_of_images(path: Path, images: list[Path]) -> tuple[list[float] | None, str]:

@@ -28,6 +28,7 @@ from ...data.readers.scannetpp import frame_matrices
 from ...data.recorded.files import camera as read_camera
 from ...data.recorded.files import number
 from ...data.recorded.images import read_rgb
+from ...data.recorded.poses import GL_TO_CV
 from ...files import write_file
 from ...foreign import read_bytes, read_object
 from ...geometry import se3
@@ -36,7 +37,6 @@ from ..fetch import FetchError
 
 MESH = "scans/mesh_aligned_0.05.ply"
 _KEYS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
-_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 _MAX_DEPTH_MM = 65535
 
 
@@ -81,7 +81,7 @@ class Photographs:
 
     def poses(self) -> dict[str, Float[Tensor, "4 4"]]:
         """Camera-to-world, OpenCV axes, in the world frame of the file, by picture name."""
-        return {name: T @ _GL_TO_CV for name, T in frame_matrices(self.values, self.file).items()}
+        return {name: T @ GL_TO_CV for name, T in frame_matrices(self.values, self.file).items()}
 
     def transforms(self) -> dict[str, Any]:
         """Content of ``transforms_undistorted_2.json``: the unchanged frames and the pinhole's intrinsics."""

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...data.recorded.poses import checked_pose, interpolate_rows, matrices
+from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices
 from ...data.recorded.times import PER_SECOND
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
@@ -126,7 +126,9 @@ def read_trajectory(
         SequenceError: no such file, no rows, a row that is not numeric, times that go back, two different poses at one
             time, or a quaternion whose length is not 1.
     """
-    table, notes = _checked(_table(path), path)
+    table, notes = checked_rows(_table(path), path, ordered=True)
+    if not len(table):
+        raise SequenceError(f"{path} holds no finite pose; expected rows 't tx ty tz qx qy qz qw'")
     unit = find_time_unit(table[:, 0].tolist()) if time_unit == "auto" else time_unit
     notes.append(f"{path}: {len(table)} poses, times read as {unit}")
     return Trajectory(
@@ -137,40 +139,6 @@ def read_trajectory(
         max_gap_s=max_gap_s,
         notes=tuple(notes),
     )
-
-
-def _checked(table: Float[Tensor, "N 8"], path: Path) -> tuple[Float[Tensor, "M 8"], list[str]]:
-    """Rows with a pose, each time once [M, 8], and sentences on those that were left out."""
-    finite = torch.isfinite(table).all(dim=1)
-    lost = int((~finite).sum())
-    notes = [f"{path}: {lost} of {len(table)} poses are NaN and count as lost"] if lost else []
-    table = table[finite]
-    if not len(table):
-        raise SequenceError(f"{path} holds no finite pose; expected rows 't tx ty tz qx qy qz qw'")
-    back = (table[1:, 0] < table[:-1, 0]).nonzero()
-    if len(back):
-        i = int(back[0])
-        raise SequenceError(
-            f"{path}: the time {float(table[i + 1, 0]):.9g} comes after {float(table[i, 0]):.9g}; expected increasing "
-            "times: sort the file by its first column, and split it if it holds several trajectories"
-        )
-    again = table[1:, 0] == table[:-1, 0]
-    differs = again & (table[1:] != table[:-1]).any(dim=1)
-    if bool(differs.any()):
-        t = float(table[1:, 0][differs][0])
-        raise SequenceError(f"{path} has two different poses at the time {t:.9g}; expected every time once")
-    if bool(again.any()):
-        t = float(table[1:, 0][again][0])
-        notes.append(f"{path}: {int(again.sum())} rows repeat the one before, the first at the time {t:.9g}")
-    table = table[torch.cat([~again.new_zeros(1), ~again])]
-    length = table[:, 4:].norm(dim=1)
-    if float((length - 1).abs().max()) > 1e-2:
-        i = int((length - 1).abs().argmax())
-        raise SequenceError(
-            f"{path}: the pose at {float(table[i, 0]):.9g} must hold a unit quaternion, got one of length "
-            f"{float(length[i]):.3g}; expected the columns t tx ty tz qx qy qz qw"
-        )
-    return table, notes
 
 
 def _table(path: Path) -> Float[Tensor, "N 8"]:

@@ -196,5 +196,5 @@ def test_two_poses_at_one_time_are_named(tmp_path):
     (tmp_path / "g.txt").write_text("2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
     assert read_stamped_poses(tmp_path / "g.txt")[0].tolist() == [1, 2]
     (tmp_path / "g.txt").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n")
-    with pytest.raises(SequenceError, match=r"g\.txt has two different poses at 2\.000000 s; expected every time once"):
+    with pytest.raises(SequenceError, match=r"g\.txt has two different poses"):
         read_stamped_poses(tmp_path / "g.txt")

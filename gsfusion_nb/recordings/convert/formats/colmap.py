@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import natural_order
+from ....data.recorded.times import PER_SECOND, time_unit
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....errors import shown
 from ....foreign import is_file, open_regular, parsing, read_exactly, read_text
@@ -334,9 +335,9 @@ def _beside(path: Path, model: Path, names: tuple[str, ...], what: str) -> Path:
 
 
 def _time(image: Path) -> float | None:
-    from .tum import time_of_name
-
+    """Seconds of an image that is named by its time, such as 1305031102.175304 or 1403636579763555584; else None."""
     try:
-        return time_of_name(image)
-    except SequenceError:
+        value = float(image.stem)
+    except ValueError:
         return None
+    return value / PER_SECOND[time_unit([value])] if math.isfinite(value) else None

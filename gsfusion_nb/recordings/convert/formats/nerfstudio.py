@@ -19,6 +19,7 @@ from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import natural_order, number, table
+from ....data.recorded.poses import GL_TO_CV
 from ....data.sequence import SequenceError
 from ....errors import shown
 from ....foreign import is_file, read_object
@@ -26,7 +27,6 @@ from ....geometry import se3
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
 
-_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
 
 
@@ -108,7 +108,7 @@ def _pose(frame: dict[str, Any], world: Float[Tensor, "4 4"], file: Path) -> Flo
     T[: len(rows)] = rows
     moved = world @ T
     moved[:3, :3] = world[:3, :3] / torch.linalg.det(world[:3, :3]).abs() ** (1 / 3) @ T[:3, :3]
-    return moved @ _GL_TO_CV
+    return moved @ GL_TO_CV
 
 
 def _matrix(rows: Any, source: str) -> Float[Tensor, "R 4"]:

@@ -16,20 +16,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import number, table
 from ....data.recorded.images import MAX_PIXELS, read_image_bytes
-from ....data.recorded.poses import matrices
+from ....data.recorded.poses import GL_TO_CV, matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....foreign import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, metres, with_colour
 
-_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
 """Heights and widths of LiDAR and TrueDepth images, for files without this information."""
 
@@ -165,7 +163,7 @@ def _poses(metadata: dict[str, Any], n: int, path: Path) -> Float[Tensor, "N 4 4
         raise SequenceError(
             f"{path}: poses of the metadata are {list(poses.shape)}; expected {n} rows qx qy qz qw tx ty tz"
         )
-    return matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ _GL_TO_CV
+    return matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ GL_TO_CV
 
 
 def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:

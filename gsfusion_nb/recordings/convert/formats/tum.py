@@ -20,7 +20,7 @@ from ....data.readers.tum import LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
 from ....data.recorded.files import images_in, natural_order
 from ....data.recorded.images import read_rgb
 from ....data.recorded.poses import image_number, read_words
-from ....data.recorded.times import Stamps, associate, judge_stamps
+from ....data.recorded.times import Stamps, associate, judge_stamps, read_image_list
 from ....data.sequence import BadFrameError, SequenceError
 from ....errors import shown
 from ..camera import read_intrinsics
@@ -160,16 +160,7 @@ def _stream(path: Path, name: str) -> _Stream:
     file = path / f"{name}.txt"
     if not file.is_file():
         return _named_by_time(path, name)
-    numbers, files = [], []
-    for number, words in read_words(file, "lines 'timestamp filename'"):
-        try:
-            value, image = float(words[0]), path / words[1]
-        except (ValueError, IndexError):
-            value, image = math.nan, path
-        if not math.isfinite(value):
-            raise SequenceError(f"{file} line {number} must be 'timestamp filename', got {shown(' '.join(words))}")
-        numbers.append(value)
-        files.append(image)
+    numbers, files = read_image_list(file)
     return _Stream(str(file), files, judge_stamps(numbers, names=[natural_order(f) for f in files]))
 
 
@@ -237,22 +228,6 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         dropped=found.dropped,
         notes=tuple(notes),
     )
-
-
-def time_of_name(path: Path) -> float:
-    """Seconds of an image named by its time: "1305031102.175304" (seconds) or "1403636579763555584" (nanoseconds).
-
-    Raises:
-        SequenceError: the name is not a number.
-    """
-    try:
-        value = float(path.stem)
-        if not math.isfinite(value):
-            raise ValueError(path.stem)
-    except ValueError:
-        raise SequenceError(f"{path} is not named by its time; expected a name such as 1305031102.175304.png") from None
-    # 1e11 seconds are 3000 years, 1e17 nanoseconds are 3 years
-    return value * (1e-9 if value > 1e17 else 1e-6 if value > 1e14 else 1e-3 if value > 1e11 else 1.0)
 
 
 def _trajectory(path: Path, frames: TumFrames, options: ConvertOptions) -> Trajectory | None:
