@@ -58,8 +58,7 @@ class ExportOptions:
 def export(arguments: list[str]) -> int:
     """The command ``gsfusion-nb course export``."""
     from ..course.grading.export import export_course
-    from ..course.grading.marks import new_seed
-    from ..course.grading.points import Points, read_points
+    from ..course.grading.marks import Points, new_seed, read_points
 
     options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
     found = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))

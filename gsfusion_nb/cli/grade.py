@@ -43,10 +43,17 @@ class GradeOptions:
 
 def run(arguments: list[str]) -> int:
     """The command. Exit status 0: the table is written, whatever the marks."""
-    from ..course.grading.isolated import unprotected
-    from ..course.grading.marks import Grading, exercises_of, grade, new_seed, rubric_page, write_marks
-    from ..course.grading.points import Points, read_points
-    from ..course.grading.remote import Limits
+    from ..course.grading.marks import (
+        Grading,
+        Points,
+        exercises_of,
+        grade,
+        new_seed,
+        read_points,
+        rubric_page,
+        write_marks,
+    )
+    from ..course.grading.sandbox import Limits, unprotected
     from ..course.grading.submission import find_submissions
     from ..files import write_file
 

@@ -69,7 +69,7 @@ DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 
 _NO_CHAPTERS = {
     "attempt", "copies", "course", "exercise", "grading", "learner_backend", "learner_code", "learner_operation",
-    "paper_tables", "predictions", "progress", "source_lines", "trace",
+    "paper_tables", "predictions", "progress", "seeding_scene", "source_lines", "trace",
 }  # fmt: skip
 """Modules of this folder that register no exercise."""
 

@@ -7,7 +7,7 @@ from ..geometry import pixel_grid, project, se3
 from ..seeding import SeedContext, SeedingRule, check_contexts, check_rule
 from ..types import Seeds
 from .exercise import LIBRARY_LIMIT_S, Attempt, Failed, Wrong, close, exercise, holds
-from .wall import wall_context
+from .seeding_scene import wall_context
 
 
 def _raster(ctx: SeedContext, *, step_px: int = 8) -> Seeds:

@@ -1,30 +1,39 @@
-"""Marks for a class: what may be sent from a sandbox, what a submission needs, who gets which mark."""
+"""Marks for a class: what a submission needs, what it may do in the sandbox, who gets which mark."""
 
-import contextlib
 import csv
-import json
 import os
-import struct
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.course.attempt import Failed, NotCallable
-from gsfusion_nb.course.exercise import Attempt, exercises
-from gsfusion_nb.course.grading import isolated
+from gsfusion_nb.course.attempt import Attempt, Failed, NotCallable
+from gsfusion_nb.course.exercise import exercises
+from gsfusion_nb.course.grading import sandbox as module
 from gsfusion_nb.course.grading.draws import DRAWS
-from gsfusion_nb.course.grading.hidden import sentence
-from gsfusion_nb.course.grading.isolated import Sandbox, unprotected, why_no_bubblewrap, write_clean_copy
-from gsfusion_nb.course.grading.marking import _OWN, HIDDEN, Mark, judge_hidden, properties, verdict_on, why
-from gsfusion_nb.course.grading.marks import Grading, as_csv, exercises_of, grade, rubric_page
-from gsfusion_nb.course.grading.points import Points, read_points
-from gsfusion_nb.course.grading.remote import Limits
-from gsfusion_nb.course.grading.submission import find_submissions, read_code
-from gsfusion_nb.course.sandbox.messages import CodecError, Foreign, decode, encode
-from gsfusion_nb.course.sandbox.needed import Cell, NoFunction, needed
-from gsfusion_nb.types import Seeds
+from gsfusion_nb.course.grading.marking import (
+    _OWN,
+    HIDDEN,
+    judge_hidden,
+    properties,
+    sentence,
+    verdict_on,
+    verdicts,
+    why,
+)
+from gsfusion_nb.course.grading.marks import (
+    Grading,
+    Mark,
+    Points,
+    as_csv,
+    exercises_of,
+    grade,
+    read_points,
+    rubric_page,
+)
+from gsfusion_nb.course.grading.sandbox import Limits, Sandbox, unprotected, why_no_bubblewrap
+from gsfusion_nb.course.grading.sandbox_program import Cell, needed
+from gsfusion_nb.course.grading.submission import choose, find_submissions, read_code
 
 SUBMISSIONS = Path(__file__).parent / "submissions"
 LIMITS = Limits(seconds=5.0, memory_mb=512)
@@ -37,15 +46,12 @@ EXPECTED = {
     "wrong_table": (0, 0, 0, 0, 0),
     "endless": (1, 0, 2, 0, 2),
     "out_of_memory": (1, 0, 0, 0, 2),
-    "cheat_reads": (0, 0, 0, 0, 0),
-    "cheat_patches": (0, 0, 0, 0, 0),
-    "cheat_forges": (0, 0, 0, 0, 0),
     "raises": (0, 0, 0, 0, 2),
 }
 
 
 @pytest.mark.ci
-def test_ten_submissions_get_the_marks_that_they_deserve():
+def test_seven_submissions_get_the_marks_that_they_deserve():
     submissions = find_submissions([SUBMISSIONS])
     names = exercises_of((2,), (), submissions)
     limits = Limits(seconds=2.0, memory_mb=512)
@@ -55,10 +61,7 @@ def test_ten_submissions_get_the_marks_that_they_deserve():
     said = {(m.student, m.exercise): f"{m.prop}; {m.message}" for m in marks}
     for student, exercise, words in (
         ("endless", "signed_distance", "had not ended after"),
-        ("out_of_memory", "signed_distance", "needed more than 512 MB"),
-        ("cheat_reads", "signed_distance", "No module named 'gsfusion_nb.course.tsdf'"),
-        ("cheat_forges", "signed_distance", "ended without an answer"),
-        ("cheat_patches", "block_of", "changed"),
+        ("out_of_memory", "signed_distance", "needed more memory"),
         ("wrong_table", "zero_crossing", HIDDEN),
         ("raises", "running_average", "ZeroDivisionError in line 11 of raises.py, `return 1 / 0`"),
         ("raises", "block_of", "line 3 of raises.py"),
@@ -102,48 +105,6 @@ def test_hidden_inputs_depend_on_the_seed_alone():
     assert not torch.equal(seen[0], seen[2])
 
 
-def test_values_come_back_from_a_sandbox_as_they_were():
-    seeds = Seeds.isotropic(torch.rand(2, 3), torch.rand(2, 3), torch.rand(2))
-    value = (
-        None,
-        True,
-        -3,
-        float("nan"),
-        "ä",
-        [torch.arange(6).reshape(2, 3)],
-        {"a": np.array([1, 2], np.float32)},
-        {1},
-        seeds,
-    )
-    back = decode(encode(value))
-    assert repr(back[:5]) == repr(value[:5])
-    assert torch.equal(back[5][0], value[5][0])
-    assert back[6]["a"].dtype == np.float32
-    assert back[7] == {1}
-    assert torch.equal(back[8].xyz_W, seeds.xyz_W)
-    assert back[8].tag.dtype == torch.int32
-    assert type(decode(encode(object()))).__name__ == "object"
-    assert isinstance(decode(encode(lambda: 0)), Foreign)
-
-
-def test_a_forged_message_is_refused():
-    for head in (
-        '["T","float64",[1000000],0]',
-        '["T","float64",[-1],0]',
-        '["A","object",[1],0]',
-        '{"a":1}',
-        "[",
-        '["x"]',
-    ):
-        with pytest.raises(CodecError):
-            decode(struct.pack(">I", len(head)) + head.encode())
-    with pytest.raises(CodecError):
-        decode(b"\x00")
-    deep = json.loads("[" * 40 + "]" * 40)
-    with pytest.raises(CodecError, match="inside each other"):
-        encode(deep)
-
-
 def test_only_what_a_function_needs_runs():
     cells = [
         Cell("cell 1", "import torch\nSCALE = 2\nn = run_for_an_hour()\n%matplotlib inline\n!ls"),
@@ -154,9 +115,9 @@ def test_only_what_a_function_needs_runs():
     ]
     lines = [(s.cell.label, s.node.lineno) for s in needed(cells, "f")]
     assert lines == [("cell 1", 1), ("cell 2", 1), ("cell 3", 1), ("cell 4", 1)]
-    with pytest.raises(NoFunction, match="cell 5 has a syntax error in line 1"):
+    with pytest.raises(Failed, match="cell 5 has a syntax error in line 1"):
         needed(cells, "g")
-    with pytest.raises(NoFunction, match="there is no function h"):
+    with pytest.raises(Failed, match="no function h"):
         needed(cells, "h")
 
 
@@ -229,26 +190,10 @@ def test_the_rubric_names_points_and_properties():
     assert properties(exercises()["block_of"])[-1] == HIDDEN
 
 
-def test_the_clean_copy_has_no_solutions_and_no_notebooks(tmp_path, monkeypatch):
-    real = isolated._package_folder()
-    wheel = tmp_path / "installed"
-    (wheel / "teaching").mkdir(parents=True)
-    for inner in ("teaching/sandbox", "teaching/wall.py", "teaching/tsdf.py"):
-        (wheel / inner).symlink_to(real / inner)
-    for folder in ("kernels", "notebooks"):
-        (wheel / folder).mkdir()
-    (wheel / "notebooks" / "00_quickstart.ipynb").write_text("{}")
-    monkeypatch.setattr(isolated, "_package_folder", lambda: wheel)
-    write_clean_copy(tmp_path / "copy")
-    teaching = tmp_path / "copy" / "gsfusion_nb" / "course"
-    assert sorted(p.name for p in teaching.iterdir()) == ["__init__.py", "sandbox", "wall.py"]
-    assert not list((tmp_path / "copy").rglob("*.ipynb"))
-
-
 def called(source, *args, limits=LIMITS):
     """What the function ``f`` of a submission returns in a sandbox."""
-    with Sandbox(limits) as sandbox, sandbox.function("f", [Cell("cell 1", source)]) as function:
-        return function(*args)
+    with Sandbox(limits) as sandbox:
+        return sandbox.function("f", [Cell("cell 1", source)])(*args)
 
 
 def test_numba_works_where_submissions_run():
@@ -265,71 +210,38 @@ def f(x):
 
 def test_each_function_is_limited():
     source = """
-import resource, os
+import resource
 def f():
     return [resource.getrlimit(getattr(resource, "RLIMIT_" + kind))[0] for kind in ("CPU", "AS", "NPROC", "FSIZE")]
 """
     cpu_s, memory, tasks, file = called(source)
-    assert cpu_s == 5
+    assert 5 < cpu_s < 300
     assert 512 << 20 < memory < 64 << 30
-    assert 64 < tasks < 1 << 20
+    assert tasks <= 4096
     assert file == 64 << 20
 
 
-ESCAPES = {
-    "a group of its own": """
-import subprocess
-def start(command):
-    return subprocess.Popen(command, process_group=0, close_fds=False).pid  # _posixsubprocess.fork_exec
-""",
-    "multiprocessing": """
-import multiprocessing, os, time
-def start(command):
-    process = multiprocessing.get_context("spawn").Process(target=os.execv, args=(command[0], command))
-    process.start()
-    return process.pid
-""",
-    "ld-linux": """
-import glob, subprocess
-def start(command):
-    loader = sorted(glob.glob("/lib64/ld-linux*") + glob.glob("/lib/ld-linux*"))[0]
-    return subprocess.Popen([loader, *command], start_new_session=True).pid
-""",
-}
-F = """
-import time
-def f(mark):
-    pid = start(["/usr/bin/sleep", mark])
-    for _ in range(600):
-        if mark in open(f"/proc/{pid}/cmdline").read():
-            return pid
-        time.sleep(0.05)
-"""
+SOLVED = {"map_frame": 6, "draw_keyframes": 6, "raster_rule": 9, "slope": 5, "quadtree_leaves": 3}
+"""Exercise -> chapter: with a mapper, a generator, a scene, a function, and other exercises in what is passed."""
 
 
-def processes_with(mark):
-    """Numbers of the processes on this machine that have ``mark`` in their command line."""
-    found = []
-    for file in Path("/proc").glob("[0-9]*/cmdline"):
-        with contextlib.suppress(OSError):
-            found += [int(file.parent.name)] if mark in file.read_text(errors="replace") else []
-    return found
+@pytest.mark.ci
+def test_whatever_is_passed_to_a_function_reaches_it_in_the_sandbox():
+    codes = [read_code(path) for path in sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))]
+    chosen = {name: choose(codes, name, chapter) for name, chapter in SOLVED.items()}
+    for verdict in verdicts({name: code.cells for name, code in chosen.items() if code}, 5, LIMITS).values():
+        assert verdict, repr(verdict)
 
 
-needs_bubblewrap = pytest.mark.skipif(bool(why_no_bubblewrap()), reason=why_no_bubblewrap())
+def test_a_result_that_is_no_value_is_refused_without_being_made_here():
+    source = "import os\nclass Evil:\n    def __reduce__(self): return os._exit, (1,)\ndef f(): return Evil()"
+    with pytest.raises(Failed, match="plain values"):
+        called(source)
+    with pytest.raises(Failed, match="does not change its inputs"):
+        called("def f(x):\n    return x.zero_()", torch.ones(2))
 
 
-@needs_bubblewrap
-@pytest.mark.parametrize("way", ESCAPES)
-def test_what_a_submission_starts_ends_with_its_grading(way):
-    mark = str(10**8 + list(ESCAPES).index(way) + os.getpid())
-    with Sandbox(LIMITS) as sandbox, sandbox.function("f", [Cell("cell 1", ESCAPES[way] + F)]) as function:
-        assert function(mark) is not None
-        assert processes_with(mark)
-    assert not processes_with(mark)
-
-
-@needs_bubblewrap
+@pytest.mark.skipif(bool(why_no_bubblewrap()), reason=why_no_bubblewrap())
 def test_behind_bubblewrap_nothing_of_the_grader_can_be_seen_or_changed(tmp_path):
     source = """
 import os, socket
@@ -342,29 +254,25 @@ def f(paths):
         pass
     return seen, len(socket.if_nameindex())
 """
-    real = isolated._package_folder()
-    hidden = [real / "teaching" / "tsdf.py", real.parent / "notebooks", tmp_path, Path.home() / ".bashrc"]
+    real = module._package_folder()
+    hidden = [real / "course" / "tsdf.py", real.parent / "notebooks", tmp_path, Path.home() / ".bashrc"]
     assert called(source, [*map(str, hidden), os.__file__]) == ([os.__file__], 1)
 
 
 def test_without_bubblewrap_grading_goes_on_and_says_what_is_open(monkeypatch):
-    isolated.why_no_bubblewrap.cache_clear()
-    monkeypatch.setattr(isolated.shutil, "which", lambda name: None)
+    module.why_no_bubblewrap.cache_clear()
+    monkeypatch.setattr(module.shutil, "which", lambda name: None)
     try:
         assert "bubblewrap (bwrap) is not installed" in unprotected()
         assert called("def f(x):\n    return x + 1", 1) == 2
         with pytest.raises(Failed, match="processor time"):
             called("def f():\n    while True: pass", limits=Limits(seconds=1.0, memory_mb=512))
     finally:
-        isolated.why_no_bubblewrap.cache_clear()
+        module.why_no_bubblewrap.cache_clear()
 
 
 def test_a_function_that_ends_its_process_leaves_the_next_one_alone():
     with Sandbox(LIMITS) as sandbox:
-        with (
-            sandbox.function("f", [Cell("cell 1", "import os\ndef f(): os._exit(0)")]) as function,
-            pytest.raises(Failed),
-        ):
-            function()
-        with sandbox.function("f", [Cell("cell 1", "def f(): return 5")]) as function:
-            assert function() == 5
+        with pytest.raises(Failed):
+            sandbox.function("f", [Cell("cell 1", "import os\ndef f(): os._exit(0)")])()
+        assert sandbox.function("f", [Cell("cell 1", "def f(): return 5")])() == 5

@@ -14,13 +14,13 @@ from ...files import write_file
 from ...foreign import read_object
 from ..copies import without_solutions
 from ..exercise import exercises
-from .points import Points
+from .marks import Points
 
 Target = Literal["nbgrader", "otter"]
 
 _BEGIN, _END = "### BEGIN SOLUTION", "### END SOLUTION"
 _CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$")
-_HIDDEN = """from gsfusion_nb.course.grading.hidden import hidden_test
+_HIDDEN = """from gsfusion_nb.course.grading.marking import hidden_test
 
 hidden_test("{name}", {name}, In, seed={seed})"""
 

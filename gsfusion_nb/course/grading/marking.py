@@ -1,8 +1,10 @@
-"""The mark of one exercise of one submission: its judge, then hidden inputs from the seed of the class."""
+"""The verdict on a function of a submission: its exercise's judge, then hidden inputs from the seed of the class."""
 
+import functools
+import logging
 import math
 import zlib
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,12 @@ from torch import Tensor
 from ...backends import use_backend
 from ..attempt import Attempt, Verdict, as_rows, close, holds, watching_properties
 from ..exercise import Exercise, exercises
-from ..wall import wall_context
+from ..seeding_scene import wall_context
 from .draws import DRAWS, whole
-from .isolated import Sandbox
-from .points import Points
-from .submission import Code, choose
+from .sandbox import Limits, Sandbox, unprotected
+from .sandbox_program import Cell
+
+log = logging.getLogger(__name__)
 
 HIDDEN = "it is right for inputs that the notebook does not show, too"
 _ON = "one that the notebook does not show"
@@ -27,60 +30,58 @@ _CELLS = ("quadtree_leaves",)
 """Exercises that return cells, in any order."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Mark:
-    """One line of the table of marks."""
-
-    student: str
-    exercise: str
-    points: float
-    most: float
-    prop: str = ""
-    """The property that failed; empty for a right answer."""
-    message: str = ""
-    """What was returned and what was expected, or why nothing could be judged."""
-
-
-def mark_student(
-    student: str, codes: list[Code], names: list[str], points: Points, seed: int, sandbox: Sandbox
-) -> list[Mark]:
-    """The marks of one student.
+def verdicts(cells: Mapping[str, Sequence[Cell]], seed: int, limits: Limits) -> dict[str, Verdict]:
+    """The verdicts on the functions of one submission, in the sandbox.
 
     Args:
-        student: Whose they are.
-        codes: The student's files.
-        names: Exercises to be marked, in the order of the course.
-        points: The most points of each.
+        cells: Exercise, in the order of the course -> the code cells that define its function.
         seed: Of the hidden inputs.
-        sandbox: Where the functions run.
+        limits: Of each function.
+
+    Raises:
+        NoSandbox: this system cannot run submissions.
     """
-    accepted: set[str] = set()
-    marks = []
-    for name in names:
-        exercise = exercises()[name]
-        most = points.of(exercise)
-        code = choose(codes, name, exercise.chapter)
-        if code is None:
-            problems = [c.problem for c in codes if c.problem]
-            files = ", ".join(c.file.name for c in codes)
-            message = problems[0] if problems else f"there is no function {name} in {files or 'the submission'}"
-            marks.append(
-                Mark(student=student, exercise=name, points=0.0, most=most, prop="it is submitted", message=message)
-            )
-            continue
-        with sandbox.function(name, code.cells, frozenset(accepted)) as function:
-            verdict = verdict_on(exercise, function, seed)
-        if verdict:
-            accepted.add(name)
-        marks.append(_mark(student, exercise, verdict, most))
-    return marks
+    found: dict[str, Verdict] = {}
+    with Sandbox(limits) as sandbox:
+        for name, own in cells.items():
+            accepted = frozenset(n for n, verdict in found.items() if verdict)
+            found[name] = verdict_on(exercises()[name], sandbox.function(name, own, accepted), seed)
+    return found
 
 
-def _mark(student: str, exercise: Exercise, verdict: Verdict, most: float) -> Mark:
-    if verdict:
-        return Mark(student=student, exercise=exercise.name, points=most, most=most)
+@functools.cache
+def warn() -> None:
+    """Say once what is not guarded here."""
+    if unprotected():
+        log.warning(unprotected())
+
+
+def hidden_test(name: str, function: Any, history: Sequence[str], *, seed: int) -> bool:
+    """Judge ``name`` as it was written in the cells run so far, in a process of its own.
+
+    A test of an exported notebook; the plug-ins of nbgrader and Otter mark without running the notebook.
+
+    Args:
+        name: Exercise.
+        function: The student's; it must exist, and is not called here.
+        history: ``In`` of the notebook.
+        seed: Of the hidden inputs.
+
+    Raises:
+        AssertionError: a property does not hold.
+    """
+    warn()
+    cells = [Cell(f"cell [{i}]", source) for i, source in enumerate(history)]
+    verdict = verdicts({name: cells}, seed, Limits())[name]
+    if not verdict:
+        raise AssertionError(sentence(verdict))
+    return True
+
+
+def sentence(verdict: Verdict) -> str:
+    """What a student reads about an answer that is not right."""
     prop, message = why(verdict)
-    return Mark(student=student, exercise=exercise.name, points=0.0, most=most, prop=prop, message=message)
+    return f"not true yet: “{prop}”; {message}"
 
 
 def why(verdict: Verdict) -> tuple[str, str]:

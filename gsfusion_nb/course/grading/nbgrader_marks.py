@@ -8,10 +8,9 @@ from nbgrader.preprocessors import NbGraderPreprocessor
 from traitlets import Float, Integer
 
 from ..exercise import exercises
-from ..sandbox.needed import Cell
-from .hidden import marked
-from .marking import why
-from .remote import Limits
+from .marking import verdicts, warn, why
+from .sandbox import Limits
+from .sandbox_program import Cell
 
 _PREFIX = "test-"
 
@@ -31,8 +30,10 @@ class MarkInSandbox(NbGraderPreprocessor):
             for number, cell in enumerate(nb.cells, start=1)
             if cell.cell_type == "code" and not _exercise(cell)
         ]
+        wanted = {name: cells for name in exercises() if name in tests}
+        warn()
         limits = Limits(seconds=self.seconds, memory_mb=self.memory_mb)
-        for name, verdict in marked([n for n in exercises() if n in tests], cells, self.seed, limits).items():
+        for name, verdict in verdicts(wanted, self.seed, limits).items():
             if verdict:
                 output = new_output("stream", name="stdout", text=verdict.headline + "\n")
             else:

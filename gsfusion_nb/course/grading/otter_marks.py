@@ -7,8 +7,8 @@ from nbformat.v4 import new_notebook
 from otter.plugins import AbstractOtterPlugin
 
 from ..exercise import exercises
-from .hidden import marked, sentence
-from .remote import Limits
+from .marking import sentence, verdicts, warn
+from .sandbox import Limits
 from .submission import read_code
 
 
@@ -22,10 +22,11 @@ class MarkInSandbox(AbstractOtterPlugin):
     def after_grading(self, results: Any) -> None:
         """Put the marks in place of those of the empty notebook."""
         code = read_code(Path(self.submission_path))
-        names = [name for name in exercises() if name in results.results]
+        wanted = {name: code.cells for name in exercises() if name in results.results}
+        warn()
         settings = self.plugin_config
         limits = Limits(seconds=float(settings["seconds"]), memory_mb=int(settings["memory_mb"]))
-        for name, verdict in marked(names, code.cells, int(settings["seed"]), limits).items():
+        for name, verdict in verdicts(wanted, int(settings["seed"]), limits).items():
             question = results.results[name]
             message = code.problem or sentence(verdict)
             for case in question.test_case_results:

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...errors import SequenceError
 from ...foreign import read_bytes, read_object
-from ..sandbox.needed import Cell
+from .sandbox_program import Cell
 
 _OF_CHAPTER = re.compile(r"\d\d[_.]")
 LARGEST_BYTES = 64 << 20
