@@ -277,8 +277,8 @@ def _view(value: Any) -> Any:
     camera = Camera(width=1, height=1, fx=1.0, fy=1.0, cx=0.5, cy=0.5)
     if value[1] == "keyframe":
         return Keyframe(index=value[2], rgb_u8=torch.zeros(1, 1, 3).byte(), camera=camera, T_WC=torch.eye(4))
-    blank = {"rgb": torch.zeros(1, 1, 3), "depth_m": torch.zeros(1, 1)}
-    return Frame(index=value[2], timestamp_s=0.0, **blank, camera=camera, T_WC=torch.eye(4))
+    rgb, depth_m = torch.zeros(1, 1, 3), torch.zeros(1, 1)
+    return Frame(index=value[2], timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
 
 
 def _apply_states(args: tuple[Any, ...], states: dict[int, Any]) -> None:
