@@ -221,8 +221,8 @@ def f():
     assert file == 64 << 20
 
 
-SOLVED = {"map_frame": 6, "draw_keyframes": 6, "raster_rule": 9, "slope": 5, "quadtree_leaves": 3}
-"""Exercise -> chapter: with a mapper, a generator, a scene, a function, and other exercises in what is passed."""
+SOLVED = {"map_frame": 6, "draw_keyframes": 6, "slope": 5, "quadtree_leaves": 3}
+"""Exercise -> chapter: with a mapper, a generator, a function, and other exercises in what is passed."""
 
 
 @pytest.mark.ci
