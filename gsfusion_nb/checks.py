@@ -131,3 +131,9 @@ def check_whole(name: str, value: object, low: int, high: int | None = None) -> 
     if value < low or (high is not None and value > high):
         wanted = f">= {low}" if high is None else f"between {low} and {high}"
         raise ValueError(f"{name} must be {wanted}, got {value}")
+
+
+def check_saved_pose(name: str, T: Tensor) -> None:
+    """Raise ``ValueError`` unless ``T`` is a rigid transform in float64."""
+    check_saved(name, T, (4, 4), torch.float64)
+    check_pose(name, T, SAVED_RIGIDITY_ERROR)

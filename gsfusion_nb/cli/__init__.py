@@ -2,6 +2,7 @@
 
 import logging
 import os
+import select
 import sys
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -12,7 +13,6 @@ from ..backends import BackendUnavailable, from_environment, use_backend
 from ..config import DataConfig, gsfusion
 from ..config.values import parse_options
 from ..errors import is_foreseen, unforeseen
-from . import reader_gone
 from .result import print_metrics, print_result
 from .settings import named_values
 
@@ -62,6 +62,10 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
 
 Options of a command, with their defaults: gsfusion-nb map --help
 """
+
+
+NOBODY_READS = 141
+"""Exit status, as of a program that the signal SIGPIPE ended."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,10 +143,10 @@ def main(arguments: list[str] | None = None) -> int:
         status = _main(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
     except BrokenPipeError:
-        if not reader_gone.nobody_reads():
+        if not _nobody_reads():
             raise
-        reader_gone.write_nothing_more()
-        return reader_gone.STATUS
+        _write_nothing_more()
+        return NOBODY_READS
     return status
 
 
@@ -175,7 +179,7 @@ def _main(arguments: list[str]) -> int:
     try:
         return commands[name](rest)
     except Exception as e:
-        if isinstance(e, BrokenPipeError) and reader_gone.nobody_reads():
+        if isinstance(e, BrokenPipeError) and _nobody_reads():
             raise
         text = e.args[0] if isinstance(e, KeyError) and e.args else e
         if isinstance(e, PermissionError) and e.filename:
@@ -311,3 +315,21 @@ def _doctor(arguments: list[str]) -> int:
 
     options = parse_options(DoctorOptions, prog="gsfusion-nb doctor", arguments=arguments)
     return doctor.warm() if options.warm else doctor.main()
+
+
+def _nobody_reads() -> bool:
+    """After a ``BrokenPipeError``: whether it was the standard output that broke, and no socket."""
+    try:
+        place = sys.stdout.fileno()
+    except (OSError, ValueError):  # no file, as in a notebook
+        return False
+    if not hasattr(select, "poll"):
+        return True
+    watch = select.poll()
+    watch.register(place, 0)  # errors are told without being asked for
+    return bool(watch.poll(0))
+
+
+def _write_nothing_more() -> None:
+    """Let what is still in the buffer of the standard output go nowhere, so that Python's end says nothing, either."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

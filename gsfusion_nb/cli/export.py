@@ -42,7 +42,7 @@ class ExportOptions:
 def run(arguments: list[str]) -> int:
     """The command. Exit status 0: the files are written."""
     from ..export import write_gaussian_ply, write_map_glb, write_mesh_ply
-    from ..gaussians.moved import moved
+    from ..gaussians.rows import moved
     from ..geometry.upright import turn_to_minus_y_up
 
     options = parse_options(ExportOptions, prog="gsfusion-nb export", arguments=arguments)

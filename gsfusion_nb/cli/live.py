@@ -9,8 +9,7 @@ import tyro
 from ..backends import use_backend
 from ..checks import check_name
 from ..data.stream import AzureKinect, GrowingFolder, LiveSource, RealSense
-from .rerun_option import rerun_file
-from .result import print_result
+from .result import print_result, rerun_file
 from .settings import SettingsOptions, parse
 
 if TYPE_CHECKING:
@@ -153,7 +152,8 @@ def live(arguments: list[str]) -> "FinishedRun":
     check_name("live source", name, SOURCES)
     options: LiveOptions = parse(SOURCES[name], f"gsfusion-nb live {name}", arguments[1:])
     from ..mapping import make_mapper
-    from ..runs import CheckpointEvery, map_stream
+    from ..runs import CheckpointEvery
+    from ..runs import map_sequence as map_stream
 
     with use_backend(options.backend):
         options.check_device()

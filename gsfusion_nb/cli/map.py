@@ -7,8 +7,7 @@ import tyro
 
 from ..backends import use_backend
 from ..seeding.rule_code import is_rule_file
-from .rerun_option import new_rerun_file, rerun_file
-from .result import print_result
+from .result import new_rerun_file, print_result, rerun_file
 from .settings import SettingsOptions, named_values, parse
 
 _WITH_RESUME = (

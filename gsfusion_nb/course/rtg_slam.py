@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..gaussians import states
+from ..gaussians import surfels as states
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 MIN_COSINE = 0.5

@@ -7,8 +7,7 @@ from torch import Tensor
 
 from .. import tracking
 from ..geometry import se3
-from ..tracking.normal_equations import IcpSystem
-from ..tracking.solve import Step
+from ..tracking.icp import IcpSystem, Step
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from ..config import TsdfConfig
-from ..tsdf import morton, tsdf_update
+from ..tsdf import octree as morton
+from ..tsdf import tsdf_update
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 
@@ -277,7 +278,7 @@ def morton_code(attempt: Attempt) -> None:
         close(code >> 3, parent, "the parent's code is code >> 3", on=on)
         origin = int(morton.encode(torch.zeros(1, 3, dtype=torch.int64)))
         library = int(morton.encode(torch.tensor([coords]))) - origin
-        close(code, library, "it agrees with gsfusion_nb.tsdf.morton.encode, minus the code of the origin", on=on)
+        close(code, library, "it agrees with gsfusion_nb.tsdf.octree.encode, minus the code of the origin", on=on)
 
 
 def _zero_crossing(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:

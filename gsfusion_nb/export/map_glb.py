@@ -14,7 +14,7 @@ import torch
 
 from ..constants import SH_C0
 from ..errors import SequenceError, shown
-from ..gaussians.moved import moved
+from ..gaussians.rows import moved
 from ..geometry import quaternion
 from ..geometry.upright import Up, turn_to_y_up
 from ..types import GaussianParams, Mesh

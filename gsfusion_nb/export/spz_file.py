@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ..foreign import read_bytes
-from ..gaussians.moved import moved
+from ..gaussians.rows import moved
 from ..types import GaussianParams
 from .packed_values import params_of, quaternion_of_three
 from .splat_file import MAX_BYTES

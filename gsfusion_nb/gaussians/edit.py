@@ -1,15 +1,23 @@
-"""Changes of a Gaussian map between two optimisation steps, as a seeding rule asks for them."""
+"""Changes of a Gaussian map between two optimisation steps, as a seeding rule asks for them.
+
+An ``Edit`` changes parameters, moments, birth, tag and states of a map together.
+"""
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..backends import observed
 from ..checks import check_finite, check_number, check_shape
 from ..errors import shown
+from ..geometry import quaternion
+from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import Seeds
 
 STORED = {"xyz_W": (3,), "log_scale": (3,), "quat": (4,), "opacity_logit": (), "sh": ("K", 3)}
@@ -232,3 +240,130 @@ def _numbers(name: str, rows: Tensor, like: Tensor) -> Tensor:
     if len(rows) and (int(rows.min()) < 0 or int(rows.max()) >= n):
         raise ValueError(f"{name}: rows must be between 0 and {n - 1}, got {int(rows.min())} to {int(rows.max())}")
     return rows.long()
+
+
+SPLIT_SHRINKS = 1.6
+"""A half of a split Gaussian is smaller by this factor (code released with Kerbl et al. 2023)."""
+MOST_COPIES = 51
+"""Largest number of copies that ``shared`` counts, as in gsplat; more are treated as this many."""
+
+
+def shared(
+    opacity: Float[Tensor, " N"], scale_m: Float[Tensor, "N 3"], copies: Int[Tensor, " N"], min_opacity: float = 0.005
+) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"]]:
+    """Opacity and scale of each of n equal Gaussians at one place that together look as one Gaussian did.
+
+        o' = 1 - (1 - o)^(1/n),   s' = s o / sum_{j=1..n} C(n, j) (-1)^(j-1) o'^j / sqrt(j)
+
+    Args:
+        opacity: o of the one Gaussian, 0..1. [N]
+        scale_m: s, standard deviations, metres. [N, 3]
+        copies: n, itself included; at least 1. [N]
+        min_opacity: Smallest o' that is returned; s' is that of the exact o'.
+
+    Differentiable: no.
+    Source: Kheradmand et al. 2024, Eq. 9; there the sum is written twice, over i <= n of C(i - 1, j - 1).
+    """
+    n = copies.clamp(1, MOST_COPIES).double()
+    j = torch.arange(1, MOST_COPIES + 1, dtype=torch.float64, device=opacity.device)
+    share = -torch.expm1(torch.log1p(-opacity.double()) / n)
+    binomial = torch.tensor(
+        [[math.comb(k, int(i)) for i in range(1, MOST_COPIES + 1)] for k in range(MOST_COPIES + 1)],
+        dtype=torch.float64,
+        device=opacity.device,
+    )
+    signs = 1 - 2 * ((j - 1) % 2)
+    total = (binomial[n.long()] * signs * share[:, None] ** j / j.sqrt()).sum(1)
+    scale = scale_m * (opacity.double() / total)[:, None].to(scale_m)
+    one = 1 - torch.finfo(torch.float32).eps
+    return share.clamp(min_opacity, one).to(opacity), torch.where((n > 1)[:, None], scale, scale_m)
+
+
+@observed
+def apply_edit(model: Any, edit: Edit, generator: torch.Generator, frame_index: int = 0) -> Int[Tensor, " M"]:
+    """Change the rows of ``model`` as its method ``edit`` says (``GaussianModel``)."""
+    before = len(model)
+    edit = edit.resolved(model.params.sh, "state" in model.columns)
+    for name, factors in edit.rates.items():
+        model.set_rate(name, factors)
+    for name, (rows, values) in edit.set.items():
+        model.set_rows(*_stored(model, name, rows, values))
+    if edit.reset_opacity is not None:
+        model.params.opacity_logit.clamp_(max=math.log(edit.reset_opacity / (1 - edit.reset_opacity)))
+        model.clear_moments(slice(None), "opacity_logit")
+    if edit.relocate is not None:
+        _relocate(model, *edit.relocate, edit.min_opacity)
+    if edit.clone is not None:
+        _clone(model, edit.clone, edit.clone_shares, edit.min_opacity)
+    if edit.split is not None:
+        _split(model, edit.split, edit.split_shares, generator)
+    if edit.add is not None:
+        model.append(edit.add, frame_index)
+    origin = torch.arange(len(model), device=model.device)
+    origin[before:] = -1
+    kept = torch.ones(len(model), dtype=torch.bool, device=model.device)
+    if edit.keep is not None:
+        kept[:before] = edit.keep
+    if edit.split is not None:
+        kept[edit.split] = False
+    if edit.keep is not None or edit.split is not None:
+        model.keep(kept)
+    return origin[kept]
+
+
+def _stored(model: Any, name: str, rows: Tensor, values: Tensor) -> tuple[str, Tensor, Tensor]:
+    """Column, rows and values of ``Edit.set`` as the map stores them."""
+    if name == "scale_m":
+        return "log_scale", rows, values.log()
+    if name == "opacity":
+        return "opacity_logit", rows, values.logit()
+    if name == "rgb":
+        sh = model.params.sh[rows]
+        sh[:, 0] = rgb_to_sh_dc(values)
+        return "sh", rows, sh
+    return name, rows, values
+
+
+def _share(model: Any, rows: Int[Tensor, " M"], min_opacity: float) -> Int[Tensor, " R"]:
+    """Give every row that is named k times the opacity and scale of one of k + 1 copies; returns those rows, once."""
+    once, times = rows.unique(return_counts=True)
+    params = model.params
+    opacity, scale_m = shared(
+        params.opacity_logit[once].sigmoid(), params.log_scale[once].exp(), times + 1, min_opacity
+    )
+    model.set_rows("opacity_logit", once, opacity.logit())
+    model.set_rows("log_scale", once, scale_m.log())
+    return once
+
+
+def _relocate(model: Any, moved: Tensor, target: Tensor, min_opacity: float) -> None:
+    once = _share(model, target, min_opacity)
+    columns = model.columns
+    for name in (*STORED, "birth_frame", "tag", *(f"rate.{name}" for name in model.rates)):
+        model.set_rows(name, moved, columns[name][target])
+    model.clear_moments(once)
+    model.clear_memory(once)
+    model.as_new(once if "state" not in columns else torch.cat([once, moved]))
+
+
+def _clone(model: Any, rows: Tensor, shares: bool, min_opacity: float) -> None:
+    if shares:
+        _share(model, rows, min_opacity)
+    start = len(model)
+    model.copy_rows(rows)
+    if shares:
+        model.clear_memory(slice(start, None))
+
+
+def _split(model: Any, rows: Tensor, shares: bool, generator: torch.Generator) -> None:
+    params = model.params
+    scale_m, R = params.log_scale[rows].exp(), quaternion.to_matrix(params.quat[rows])
+    drawn = torch.randn(2, len(rows), 3, generator=generator, device=generator.device).to(scale_m)
+    away = torch.einsum("nij,nj,bnj->bni", R, scale_m, drawn)
+    centres, logit = params.xyz_W[rows] + away, params.opacity_logit[rows]
+    new = torch.arange(len(model), len(model) + 2 * len(rows), device=rows.device)
+    model.copy_rows(rows.repeat(2))
+    model.set_rows("xyz_W", new, centres.reshape(-1, 3))
+    model.set_rows("log_scale", new, (scale_m / SPLIT_SHRINKS).log().repeat(2, 1))
+    if shares:
+        model.set_rows("opacity_logit", new, (1 - (1 - logit.sigmoid()).sqrt()).logit().repeat(2))

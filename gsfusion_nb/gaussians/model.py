@@ -13,10 +13,8 @@ from ..constants import SH_C0
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import GaussianParams, Seeds
-from .apply_edit import apply_edit
-from .edit import Edit, check_rate
-from .rows import GrowingRows
-from .turned_rows import turn_colours_, turn_moments_
+from .edit import Edit, apply_edit, check_rate
+from .rows import GrowingRows, turn_colours_, turn_moments_
 
 PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))
 

@@ -32,7 +32,7 @@ from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..optim import adam_step, l1_mse_vjp
 from ..render import BaseView, base_view, render_forward, render_over_base, render_vjp
 from ..tsdf import TsdfVolume, extract_mesh, raycast
-from ..tsdf.trilinear import corner_gradients
+from ..tsdf.volume import corner_gradients
 from ..types import Camera, GaussianParams, Mesh, RenderOutput
 
 DISC_VOXELS = 0.4

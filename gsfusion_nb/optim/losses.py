@@ -1,15 +1,17 @@
-"""Losses of a picture and of its depth, each with its explicit gradient beside it."""
+"""Losses of a picture and of its depth, and penalties on the Gaussians themselves, each with its gradient beside it."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import op, piece
 from ..checks import check_number
-from ..operands import check_images
+from ..operands import MASK, check_images, check_operand
+from ..types import GaussianParams
 
 C1 = 0.01**2
 C2 = 0.03**2
@@ -153,3 +155,139 @@ def window_mean(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
 
     size, sigma = (WINDOW_PX, WINDOW_PX), (WINDOW_SIGMA_PX, WINDOW_SIGMA_PX)
     return gaussian_blur2d(image.permute(2, 0, 1)[None], size, sigma, border_type="constant")[0].permute(1, 2, 0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RgbdLoss:
+    """Value and gradient of the loss of one view. All are tensors, so the host need not wait for a GPU."""
+
+    colour: Float[Tensor, ""]
+    """Mean |C - C^| over the pixels and channels."""
+    depth_m: Float[Tensor, ""]
+    """Mean |D - D^| over the pixels that have both depths, metres."""
+    total: Float[Tensor, ""]
+    """w_c colour + w_d depth."""
+    v_rgb: Float[Tensor, "H W 3"]
+    v_depth_m: Float[Tensor, "H W"]
+
+
+def check_rgbd(
+    rgb: Any, depth_m: Any, target_rgb: Any, target_depth_m: Any, pixels: Any, **weights: float | None
+) -> None:
+    """Raise ``ValueError`` for arguments that ``rgbd_l1_vjp`` refuses."""
+    check_images(rgb=rgb, depth_m=depth_m, target_rgb=target_rgb, target_depth_m=target_depth_m)
+    check_operand("pixels", pixels, tuple(depth_m.shape), dtypes=MASK, device=rgb.device)
+    for name, value in weights.items():
+        if value is not None:
+            check_number(name, value)
+
+
+@op("rgbd_loss", check_rgbd)
+def rgbd_l1_vjp(
+    rgb: Float[Tensor, "H W 3"],
+    depth_m: Float[Tensor, "H W"],
+    target_rgb: Float[Tensor, "H W 3"],
+    target_depth_m: Float[Tensor, "H W"],
+    pixels: Bool[Tensor, "H W"],
+    *,
+    weight_colour: float = 1.0,
+    weight_depth: float = 1.0,
+    behind_m: float | None = None,
+) -> RgbdLoss:
+    """L = w_c mean |C - C^| + w_d mean |D - D^| over ``pixels``, and dL/dC^, dL/dD^.
+
+    Args:
+        rgb, depth_m: Rendered, C^ and D^; depth 0 where no disc is hit, which has no depth loss.
+        target_rgb, target_depth_m: Measured, C and D; depth 0 where missing.
+        pixels: The pixels to compare. [H, W]
+        weight_colour, weight_depth: w_c and w_d.
+        behind_m: Depth rendered more than this behind the measurement has no loss, metres (released code).
+
+    Differentiable: no; it returns the gradient, which is zero where both are equal.
+
+    Source: Peng et al. 2024, Eq. 7-8. The third term of Eq. 8 is about Gaussians, not pixels: ``SurfelOptimiser``.
+    """
+    behind_m = math.inf if behind_m is None else behind_m
+    known = pixels & (depth_m > 0) & (target_depth_m > 0) & (depth_m - target_depth_m < behind_m)
+    n, n_known = (3 * pixels.sum()).clamp_min(1), known.sum().clamp_min(1)
+    colour_gap = torch.where(pixels[..., None], rgb - target_rgb, 0.0)
+    depth_gap = torch.where(known, depth_m - target_depth_m, 0.0)
+    colour, depth = colour_gap.abs().sum() / n, depth_gap.abs().sum() / n_known  # RTG-SLAM Eq. 7
+    return RgbdLoss(
+        colour=colour,
+        depth_m=depth,
+        total=weight_colour * colour + weight_depth * depth,  # RTG-SLAM Eq. 8
+        v_rgb=weight_colour * torch.sign(colour_gap) / n,
+        v_depth_m=weight_depth * torch.sign(depth_gap) / n_known,
+    )
+
+
+def anisotropy(log_scale: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
+    """Mean |s - s_mean| over Gaussians and axes, metres, with s_mean a Gaussian's mean standard deviation.
+
+    Zero for round Gaussians, and for an empty map. Differentiable: ``anisotropy_vjp``.
+
+    Source: Matsuki et al. 2024 (MonoGS), Eq. 10, as the mean that the released code takes.
+    """
+    s = log_scale.exp()
+    return (s - s.mean(dim=1, keepdim=True)).abs().sum() / max(s.numel(), 1)
+
+
+def anisotropy_vjp(log_scale: Float[Tensor, "N 3"], v_loss: float = 1.0) -> Float[Tensor, "N 3"]:
+    """dL/dlog_scale = s (q - q_mean),  q = sign(s - s_mean) / (3 N)."""
+    s = log_scale.exp()
+    q = v_loss * torch.sign(s - s.mean(dim=1, keepdim=True)) / max(s.numel(), 1)
+    return s * (q - q.mean(dim=1, keepdim=True))
+
+
+def mean_scale(log_scale: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
+    """Mean standard deviation over Gaussians and axes, metres; 0 for an empty map. Differentiable: ``mean_scale_vjp``.
+
+    Source: Kheradmand et al. 2024 (3DGS-MCMC), section 4: square roots of the covariance's eigenvalues.
+    """
+    return log_scale.exp().sum() / max(log_scale.numel(), 1)
+
+
+def mean_scale_vjp(log_scale: Float[Tensor, "N 3"], v_loss: float = 1.0) -> Float[Tensor, "N 3"]:
+    """dL/dlog_scale = s / (3 N)."""
+    return v_loss * log_scale.exp() / max(log_scale.numel(), 1)
+
+
+def mean_opacity(opacity_logit: Float[Tensor, " N"]) -> Float[Tensor, ""]:
+    """Mean opacity over Gaussians; 0 for an empty map. Differentiable: ``mean_opacity_vjp``.
+
+    Source: Kheradmand et al. 2024 (3DGS-MCMC), section 4.
+    """
+    return opacity_logit.sigmoid().sum() / max(opacity_logit.numel(), 1)
+
+
+def mean_opacity_vjp(opacity_logit: Float[Tensor, " N"], v_loss: float = 1.0) -> Float[Tensor, " N"]:
+    """dL/dopacity_logit = o (1 - o) / N."""
+    o = opacity_logit.sigmoid()
+    return v_loss * o * (1 - o) / max(opacity_logit.numel(), 1)
+
+
+def add_penalties_(
+    gradients: GaussianParams, params: GaussianParams, *, isotropy: float, scale: float, opacity: float
+) -> Float[Tensor, ""]:
+    """Add the gradients of the penalties to ``gradients``; a penalty of weight 0 is not computed.
+
+    Args:
+        gradients: dL/dparams so far, changed in place.
+        params: The map.
+        isotropy, scale, opacity: Weights of ``anisotropy``, ``mean_scale`` and ``mean_opacity``.
+
+    Returns:
+        The weighted sum of the penalties, on the device of the map.
+    """
+    loss = params.log_scale.new_zeros(())
+    if isotropy > 0:
+        loss = loss + isotropy * anisotropy(params.log_scale)
+        gradients.log_scale.add_(anisotropy_vjp(params.log_scale, isotropy))
+    if scale > 0:
+        loss = loss + scale * mean_scale(params.log_scale)
+        gradients.log_scale.add_(mean_scale_vjp(params.log_scale, scale))
+    if opacity > 0:
+        loss = loss + opacity * mean_opacity(params.opacity_logit)
+        gradients.opacity_logit.add_(mean_opacity_vjp(params.opacity_logit, opacity))
+    return loss

@@ -1,13 +1,19 @@
-"""The Gaussians of a picture as they were blended: ellipses, colours and the list of each tile."""
+"""Which Gaussians a camera sees, how large they are in its picture, and how they were blended there."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..types import Camera
+from ..backends import op
+from ..constants import ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from ..geometry import se3
+from ..operands import check_gaussians, check_view
+from ..types import Camera, GaussianParams
 from .composite import blend_weights, pixel_offsets, splat_alpha
+from .project import project_gaussians
 from .tiles import TileLists
 
 
@@ -76,3 +82,73 @@ class ScreenGaussians:
         at = (self.tiles.gaussian == row).nonzero()[:, 0]
         tile = torch.searchsorted(self.tiles.offset, at.to(self.tiles.offset.dtype), right=True) - 1
         return [(int(t), int(i - self.tiles.offset[t])) for t, i in zip(tile, at, strict=True)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Footprints:
+    """Every Gaussian as a camera sees it, whether something hides it or not."""
+
+    visible: Bool[Tensor, " N"]
+    """Whether the box outside which its alpha is below 1/255 reaches into the image."""
+    radius_px: Float[Tensor, " N"]
+    """Half of the longer side of that box, pixels; 0 where not visible."""
+
+
+def check_footprints(params: Any, camera: Any, T_WC: Any) -> None:
+    """Raise ``ValueError`` for arguments that ``footprints`` refuses."""
+    check_gaussians(params)
+    check_view(camera, T_WC, params.xyz_W.device)
+
+
+@op("footprints", check_footprints)
+@torch.no_grad()
+def footprints(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Footprints:
+    """Visibility and size in the image of every Gaussian.
+
+    Args:
+        params, camera, T_WC: as given to ``render``.
+
+    Differentiable: no.
+    Source: Kerbl et al. 2023, section 6; the size of the box is that of ``project_gaussians``, which depends on the
+    opacity.
+    """
+    rows = rows_in_view(params, camera, T_WC).nonzero()[:, 0]
+    p = project_gaussians(params[rows], camera, T_WC)
+    image_size = p.uv.new_tensor([camera.width, camera.height])
+    inside = ((p.uv + p.extent_px > 0) & (p.uv - p.extent_px < image_size)).all(1)
+    visible = p.visible & inside & params.sh[rows].isfinite().all(2).all(1)
+    every = torch.zeros(len(params), dtype=torch.bool, device=rows.device)
+    radius_px = p.extent_px.new_zeros(len(params))
+    every[rows] = visible
+    radius_px[rows] = torch.where(visible, p.extent_px.amax(1), 0.0)
+    return Footprints(visible=every, radius_px=radius_px)
+
+
+@torch.no_grad()
+def rows_in_view(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Bool[Tensor, " N"]:
+    """Rows that may reach a pixel of the picture; the others change nothing in it and get no gradient from it.
+
+    It bounds the box that ``project_gaussians`` computes: with s the largest standard deviation and |tx| <= c,
+
+        cov_uu = |first row of J W R S|^2 + 0.3 <= (fx s / z)^2 (1 + c^2) + 0.3,     c = 1.3 half fields of view
+
+    Args:
+        params, camera, T_WC: as given to ``render``.
+
+    Returns:
+        True for every row that is drawn, and for a few others. [N]
+    """
+    x, y, z = se3.apply(se3.inverse(T_WC.to(params.xyz_W)), params.xyz_W).unbind(-1)
+    opacity = params.opacity_logit.sigmoid()
+    reach = 2 * (opacity / ALPHA_MIN).clamp_min(1.0).log()
+    spread = (params.log_scale.amax(dim=1).exp() / z).square()
+
+    def meets(along: Tensor, focal: float, centre: float, size: int) -> Tensor:
+        """Whether the box reaches into the image, 0 to ``size`` pixels along one axis."""
+        c = FRUSTUM_CLAMP * size / (2 * focal)
+        variance = focal**2 * (1 + c**2) * spread + SCREEN_BLUR_PX2
+        extent = (reach * variance).sqrt() * (1 + 1e-4)  # a little more, for rounding
+        return (focal * along / z + centre - size / 2).abs() <= size / 2 + extent
+
+    in_picture = meets(x, camera.fx, camera.cx, camera.width) & meets(y, camera.fy, camera.cy, camera.height)
+    return in_picture & (z > NEAR_PLANE_M) & (opacity >= ALPHA_MIN)

@@ -15,8 +15,7 @@ from ..operands import MASK, check_gaussians, check_operand, check_view, check_w
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import check_image_gradients, composite, composite_vjp
 from .on_screen import ScreenGaussians
-from .pose import pose_matrix_vjp
-from .project import project_gaussians, project_gaussians_vjp
+from .project import pose_matrix_vjp, project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections
 
 

@@ -1,10 +1,9 @@
 """Runs of a mapper over a sequence or a stream: the loop over the frames, timing, checkpoints, files and scores."""
 
-from .checkpoint import CheckpointEvery as CheckpointEvery
 from .map_sequence import FinishedRun as FinishedRun
+from .map_sequence import map_stream as map_stream
 from .map_sequence import resume_mapping as resume_mapping
 from .map_sequence import run_mapping as run_mapping
-from .map_stream import map_stream as map_stream
 from .mapped_contexts import mapped_contexts as mapped_contexts
 from .mapping_run import MappingRun as MappingRun
 from .report import FrameRow as FrameRow
@@ -12,4 +11,5 @@ from .report import ReportData as ReportData
 from .report import ReportView as ReportView
 from .report import write_report as write_report
 from .rescore import rescore as rescore
+from .run_folder import CheckpointEvery as CheckpointEvery
 from .stream_run import StreamRun as StreamRun

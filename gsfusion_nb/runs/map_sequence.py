@@ -1,33 +1,32 @@
-"""Map a whole sequence with one call, from a notebook or the command line."""
+"""Map a whole sequence, or frames as they arrive, with one call, from a notebook or the command line."""
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
 from ..config import SystemConfig, to_dict
 from ..data import Sequence, SequenceError, apply_options, open_sequence
 from ..data.adjust.depth_agreement import check_sequence
+from ..data.stream import Policy
 from ..evaluation import ONLINE
 from ..export import read_gaussians
 from ..files import DiskFullError
-from ..mapping import LossFunction, get_system, make_mapper
+from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..optim import UpdateFunction
 from ..seeding import SeedingRule
 from ..seeding.rule_code import file_source
-from ..types import Mesh
+from ..types import Frame, Mesh
 from ..work import ProgressDisplay, memory_is_full
 from . import outputs
-from .checkpoint import NOT_SAVED, Autosave, CheckpointEvery
-from .mapping_run import MappingRun, RunWatcher
-from .posed_frames import has_poses
+from .mapping_run import MappingRun, RunWatcher, has_poses
 from .resume import load_run
-from .run_folder import RunFolder, new_folder
+from .run_folder import NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
 from .run_warnings import describe_full, doubts_about_frame, warn_of_little_space, why_empty
-from .stop_request import StopRequest
+from .stream_run import StreamRun
 
 log = logging.getLogger(__name__)
 
@@ -340,5 +339,71 @@ def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
     with ProgressDisplay("optimising", unit="view", shown=bool(run.mapper.n_passes)) as progress:
         for step in steps:
             progress.show(step.step, total=step.n_steps, note=f"loss {step.loss:.4f}")
+            if stop:
+                return
+
+
+def map_stream(
+    frames: Iterable[Frame] | Sequence,
+    mapper: Mapper,
+    *,
+    policy: Policy | None = None,
+    queue_frames: int = 4,
+    folder: Path | str | None = None,
+    evaluate: bool = True,
+    on_stop: Literal["save", "finish"] = "save",
+    checkpoints: CheckpointEvery | None = None,
+    watch: RunWatcher | None = None,
+) -> FinishedRun:
+    """Map frames as they arrive, optimise over the keyframes after the last, score, and write everything to a folder.
+
+    A second thread receives the frames; ``policy`` says what happens when mapping is slower than the source. A frame
+    that cannot be used is skipped, with a warning. If the source breaks off, or after Ctrl-C or an exception, what was
+    mapped so far is in the folder. Memory grows with the map, not with the number of frames: besides the mapper's
+    keyframes only a few frames are kept, for scoring.
+
+    Args:
+        frames: Any iterable: a list, a generator, a camera (``RealSense``, ``AzureKinect``), a ``GrowingFolder``.
+        mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
+        policy: "all", "queue", "latest" or "drop" (``gsfusion_nb.data.stream.POLICIES``); the source's own by
+            default ("latest" for cameras, "all" for anything else).
+        queue_frames: Largest number of waiting frames, for "all" and "queue".
+        folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
+        evaluate: Score the frames that were kept and write the report.
+        on_stop: What Ctrl-C does: "save" ends the run; "finish" ends only the stream, and the optimisation and the
+            report follow as usual, unless Ctrl-C is pressed again.
+        checkpoints: How often to save a checkpoint; every 30 s by default.
+        watch: Sees every mapped frame and the finished maps, as for ``run_mapping``.
+
+    Returns:
+        The run with its folder and numbers; ``n_frames_received`` and ``n_frames_dropped`` are among them.
+
+    Raises:
+        SequenceError: No frame could be mapped; the message gives the first reason.
+        Exception: Raised by the source; everything mapped was saved before.
+    """
+
+    def map_frames(run: MappingRun, stop: StopRequest) -> None:
+        _with_progress_of_stream(run, stop)
+        if stop and on_stop == "finish":
+            run.warnings.append(f"the stream was ended by hand after {len(run.steps)} frames")
+            stop.wanted = False
+
+    with RunFolder(new_folder(getattr(frames, "name", "stream"), folder)) as place:
+        run = StreamRun(frames, mapper, policy=policy, queue_frames=queue_frames)
+        run.watchers += [watch] if watch is not None else []
+        return drive(run, place, evaluate, map_frames, every=checkpoints)
+
+
+def _with_progress_of_stream(run: MappingRun, stop: StopRequest) -> None:
+    assert isinstance(run, StreamRun)
+    run.until = lambda: bool(stop)
+    seconds = 0.0
+    with ProgressDisplay("mapping", unit="frame") as progress, contextlib.closing(run.online()) as reports:
+        for n, report in enumerate(reports, start=1):
+            seconds += report.total_seconds
+            dropped = run.extra_metrics()["n_frames_dropped"]
+            note = f"{n / max(seconds, 1e-9):.1f} frames/s, {report.in_words}, {dropped} frames dropped"
+            progress.show(n, note=note)
             if stop:
                 return

@@ -17,9 +17,7 @@ from ..errors import shown
 from ..export import CheckpointStore, Saved
 from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..types import Frame, Mesh
-from .checkpoint import StepLog, packed, random_state
-from .posed_frames import has_poses
-from .run_folder import CHECKPOINTS
+from .run_folder import CHECKPOINTS, StepLog, packed, random_state
 
 log = logging.getLogger(__name__)
 
@@ -311,6 +309,11 @@ class MappingRun:
     def _warn(self, sentence: str) -> None:
         self.warnings.append(sentence)
         log.warning(sentence)
+
+
+def has_poses(view: SequenceView) -> bool:
+    """Whether the data came with poses."""
+    return getattr(view.source, "has_poses", True)
 
 
 def evenly(n: int, limit: int) -> list[int]:

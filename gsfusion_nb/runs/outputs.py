@@ -35,10 +35,17 @@ from ..seeding import is_built_in, rule_name, rule_source
 from ..seeding.rule_code import file_source
 from ..types import Mesh
 from .mapping_run import MappingRun
-from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
 from .report import FrameRow, ReportData, ReportView, write_report
 from .run_folder import METRICS, RULE
-from .scored_views import VIEWS, score_in_map, scored_views, views_as_json
+from .scored_views import (
+    VIEWS,
+    frames_in_map,
+    ground_truth_poses,
+    readable_frames,
+    score_in_map,
+    scored_views,
+    views_as_json,
+)
 
 FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",

@@ -13,9 +13,8 @@ from ..foreign import read_text, reason_of
 from ..mapping import get_system
 from ..seeding import SeedingRule
 from ..seeding.rule_code import MOST_BYTES, is_rule_file, read_rule_file, rule_of_source
-from .checkpoint import load_random_state, unpacked
 from .mapping_run import MappingRun
-from .run_folder import CHECKPOINTS, RULE, holds_nothing, is_complete, read_status
+from .run_folder import CHECKPOINTS, RULE, holds_nothing, is_complete, load_random_state, read_status, unpacked
 from .stream_run import StreamRun
 
 MOST_NAMED = 3

@@ -1,18 +1,22 @@
-"""One attempt of ICP: a frame prepared for it, a starting pose, and the pose that it leads to."""
+"""One attempt to find the pose of a frame: where ICP starts, what it leads to, and whether that is accepted."""
 
 import dataclasses
+import math
+import statistics
 import time
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..checks import check_saved
 from ..config import TrackingConfig
+from ..geometry import se3, sum_rows
 from ..types import Frame
 from .brightness import Pictures, brightness_levels
-from .icp import ExtraRows, IcpResult, align
-from .pyramid import DepthLevel, depth_pyramid
-from .surface import Surface, SurfaceSource, smooth_normals
+from .icp import ExtraRows, IcpResult, align, icp_system
+from .surface import DepthLevel, Surface, SurfaceSource, depth_pyramid, smooth_normals
 
 WIDE_DISTANCE = 3.0
 WIDE_ANGLE_DEG = 60.0
@@ -122,3 +126,160 @@ class Clocks:
 
     def __exit__(self, *_: object) -> None:
         self.seconds[self._part] += time.perf_counter() - self._start
+
+
+SAME_PLACE = 0.6
+"""Smallest correlation of brightness where camera and model see the same surface. In the built-in room it is at least
+0.94 at the true pose, and mostly below 0.5 at the poses of other frames."""
+SAME_SURFACE_M = 0.05
+"""Largest difference of depth at which camera and model see the same surface, metres."""
+ENOUGH_PIXELS = 100
+"""Smallest number of such pixels."""
+
+
+def correlation(frame: Frame, surface: Surface) -> float | None:
+    """Correlation of the frame's brightness with the model's, over the pixels that both see at the same depth.
+
+    Args:
+        frame: The frame.
+        surface: The model seen from the pose to test, with colours, at the frame's size.
+
+    Returns:
+        -1 to 1; ``None`` if the model has no colours, too few pixels are shared, or an image is uniform there.
+    """
+    if surface.rgb is None or surface.depth_m.shape != frame.depth_m.shape:
+        return None
+    both = (surface.depth_m > 0) & (frame.depth_m > 0)
+    both &= (surface.depth_m - frame.depth_m).abs() < SAME_SURFACE_M
+    if int(both.sum()) < ENOUGH_PIXELS:
+        return None
+    a, b = (image[both].mean(dim=-1) for image in (frame.rgb, surface.rgb))
+    a, b = a - sum_rows(a) / len(a), b - sum_rows(b) / len(b)
+    norm = float((sum_rows(a * a) * sum_rows(b * b)).sqrt())
+    return float(sum_rows(a * b)) / norm if norm > 1e-3 else None
+
+
+RECOVERED_SHARE = 0.3
+RECOVERED_OVERLAP_SHARE = 0.6
+"""After a failed prediction a pose must fit this well, and in every direction of motion: one of several starts may fit
+by chance, and a wrong pose would damage the map permanently."""
+
+USUAL_FRAMES = 15
+"""A fit is compared with those of this many frames before it,"""
+LEAST_FRAMES = 5
+"""but not before there are this many."""
+UNUSUAL_RMS = 2.0
+UNUSUAL_SHARE = 0.6
+"""A fit is doubtful if its distances are this many times as large as usual, or if less than this share of the usual
+pixels fit."""
+
+CLEARLY_BETTER = 0.9
+"""Another pose is preferred to a doubtful one only if its cost is below this share of it."""
+
+COST_GATE_M = 0.03
+"""Larger distances from the model count as this much when two fits are compared, metres."""
+
+
+class UsualFit:
+    """How well the last frames fitted: a sudden change for the worse is often a wrong pose."""
+
+    def __init__(self, fits: list[tuple[float, float]] | None = None):
+        self.fits = fits or []
+        """rms_m and inlier_share of the last frames."""
+
+    def copy(self) -> "UsualFit":
+        """The same, unchanged by what is added later."""
+        return UsualFit(list(self.fits))
+
+    def add(self, result: IcpResult) -> None:
+        """Remember the fit of one more frame."""
+        self.fits = [*self.fits, (result.rms_m, result.inlier_share)][-USUAL_FRAMES:]
+
+    def why_unusual(self, result: IcpResult) -> str:
+        """The reason to doubt a fit that passed all limits, or ""."""
+        if len(self.fits) < LEAST_FRAMES:
+            return ""
+        rms_m, share = (statistics.median(values) for values in zip(*self.fits, strict=True))
+        if result.rms_m > UNUSUAL_RMS * rms_m:
+            return f"its points lie {result.rms_m * 1e3:.1f} mm from the model, usually {rms_m * 1e3:.1f} mm"
+        if result.inlier_share < UNUSUAL_SHARE * share:
+            return f"{result.inlier_share:.0%} of its pixels fit the model, usually {share:.0%}"
+        return ""
+
+    def state(self) -> Tensor:
+        """For a checkpoint."""
+        return torch.tensor(self.fits, dtype=torch.float64).view(-1, 2)
+
+    @classmethod
+    def of_state(cls, state: Tensor | None) -> "UsualFit":
+        """What ``state`` saved; empty from an older checkpoint."""
+        if state is None:
+            return cls()
+        check_saved("the fits of the tracker's last frames", state, ("N", 2), torch.float64)
+        return cls([(float(rms_m), float(share)) for rms_m, share in state])
+
+
+def best_of(sight: Sight, fits: list[Attempt], config: TrackingConfig) -> Attempt:
+    """The first of several attempts, unless the cheapest of the others is clearly better."""
+    first, *others = fits
+    if not others:
+        return first
+    costs = [cost(sight, fit.result, first, config) for fit in fits]
+    least = min(costs[1:])
+    return others[costs.index(least, 1) - 1] if least < CLEARLY_BETTER * costs[0] else first
+
+
+def cost(sight: Sight, result: IcpResult, against: Attempt, config: TrackingConfig) -> float:
+    """Mean square error of a pose of the frame against the surface of one attempt, metres squared.
+
+    Every usable pixel of the frame counts, those that fit nothing with ``COST_GATE_M``, so that poses can be compared.
+    """
+    level, surface = sight.levels[-1], against.surface
+    T_WC = result.T_WC.to(surface.depth_m.device)
+    gates = {"max_distance_m": COST_GATE_M, "min_cosine": math.cos(math.radians(config.max_angle_deg))}
+    system = icp_system(level, T_WC, surface, **gates)
+    missed = (result.n_pixels - system.n_inliers) * COST_GATE_M**2
+    error = (system.sum_squares_m2 + missed) / max(result.n_pixels, 1)
+    pictures = Pictures.of(sight.brightness, surface) if sight.brightness else None
+    if pictures is not None and config.brightness_m:
+        for _ in range(2):  # the second time with the exposure that the first has found
+            seen = pictures.system(level, T_WC, COST_GATE_M)
+        error += (config.brightness_m * seen.rms) ** 2
+    return error
+
+
+def why_no_fit(result: IcpResult, config: TrackingConfig, *, strict: bool) -> str:
+    """The reason why the frame does not fit the model. ``strict``: with the limits after a failed prediction."""
+    share = max(config.min_inliers, RECOVERED_SHARE if strict else 0)
+    overlap_share = max(config.min_overlap_inliers, RECOVERED_OVERLAP_SHARE if strict else 0)
+    if result.inlier_share < share:
+        return f"{result.inlier_share:.0%} of its pixels fit the model (at least {share:.0%} needed)"
+    if result.overlap_inlier_share < overlap_share:
+        fit = f"{result.overlap_inlier_share:.0%} of its pixels that meet the model fit it"
+        return f"{fit} (at least {overlap_share:.0%} needed)"
+    if not result.rms_m <= config.max_rms_m:
+        return f"its points lie {result.rms_m * 100:.1f} cm from the model (at most {config.max_rms_m * 100:g} cm)"
+    if strict and result.degenerate:
+        return f"{result.degenerate} of 6 directions of motion are not determined"
+    return ""
+
+
+def why_too_far(last: Tensor, T_WC: Tensor, config: TrackingConfig, *, frames: int) -> str:
+    """The reason why the camera cannot have moved from ``last`` to ``T_WC`` [4, 4] in this number of frames."""
+    step = se3.inverse(last) @ T_WC
+    moved_m, turned_deg = float(step[:3, 3].norm()), float(se3.rotation_angle(step[:3, :3]).rad2deg())
+    most_m, most_deg = frames * config.max_step_m, frames * config.max_step_deg
+    if moved_m > most_m or turned_deg > most_deg:
+        return (
+            f"it would have moved {moved_m:.2f} m and turned {turned_deg:.0f} degrees since the last one (at most "
+            f"{most_m:g} m and {most_deg:g} degrees)"
+        )
+    return ""
+
+
+def why_not_alike(frame: Frame, surface: Surface) -> str:
+    """The reason why the frame does not look like the model seen from its pose."""
+    likeness = correlation(frame, surface)
+    if likeness is None or likeness >= SAME_PLACE:
+        return ""
+    return f"it looks different there (correlation {likeness:.2f}, at least {SAME_PLACE:g} needed)"

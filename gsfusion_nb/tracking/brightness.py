@@ -13,8 +13,7 @@ from ..checks import check_number, check_positive
 from ..geometry import depth_to_points, project, se3
 from ..operands import check_operand, check_view
 from ..types import Camera
-from .pyramid import DepthLevel, reduced_camera
-from .surface import Surface, about_the_surface
+from .surface import DepthLevel, Surface, about_the_surface, reduced_camera
 
 USUAL_ERROR = 0.05
 """Differences of brightness (0 = black, 1 = white) above this are mostly reflections, shadows and occlusions: their

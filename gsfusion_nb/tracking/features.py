@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 from torch import Tensor
 
+from ..checks import check_mask, check_saved
 from ..geometry import backproject
 from ..operands import check_operand
 from ..types import Frame
@@ -67,6 +68,16 @@ def check_features(name: str, features: Any) -> None:
     check_operand(f"uv of {name}", features.uv, ("M", 2), dtypes=(torch.float32,), device=cpu)
     size = (len(features), DESCRIPTOR_BYTES)
     check_operand(f"descriptors of {name}", features.descriptors, size, dtypes=(torch.uint8,), device=cpu)
+
+
+def check_saved_features(name: str, features: dict[str, Tensor]) -> None:
+    """Raise ``ValueError`` unless the columns are those of features and have one length."""
+    check_saved(f"uv of {name}", features["uv"], ("M", 2))
+    n = len(features["uv"])
+    check_saved(f"descriptors of {name}", features["descriptors"], (n, 32), torch.uint8)
+    check_saved(f"xyz_C of {name}", features["xyz_C"], (n, 3))
+    check_mask(f"has_depth of {name}", features["has_depth"], (n,))
+    check_saved(f"sigma_px of {name}", features["sigma_px"], (n,))
 
 
 def extract_features(frame: Frame, *, count: int, levels: int) -> Features:

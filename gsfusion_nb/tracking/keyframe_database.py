@@ -17,9 +17,8 @@ from torch import Tensor
 from ..checks import check_pose, check_whole
 from ..geometry import se3
 from ..types import Camera, Frame
-from .features import Features, extract_features
+from .features import Features, check_saved_features, extract_features
 from .matching import RelativePose, relative_pose
-from .saved_state import check_saved_features
 
 TABLES = 8
 BITS = 12

@@ -12,13 +12,12 @@ from torch import Tensor
 
 from ..checks import check_saved, check_whole
 from ..types import Camera
-from .bundle_adjustment import adjust
+from .bundle_adjustment import LandmarkRows, adjust, inverse_or_zero, landmark_pose, landmark_sums
 from .features import Features
 from .icp import ExtraRows
 from .keyframe_database import KeyframeDatabase
-from .landmark_rows import LandmarkRows, inverse_or_zero, landmark_pose, landmark_sums
 from .landmarks import SEARCH_SHARE, Landmarks
-from .projected_matching import found_near, in_view
+from .matching import found_near, in_view
 
 LATEST = 3
 """The local map has the landmarks of this many keyframes, the last ones, ..."""

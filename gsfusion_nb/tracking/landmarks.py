@@ -9,12 +9,11 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from torch import Tensor
 
+from ..checks import check_saved
 from ..geometry import se3
 from .features import Features
 from .keyframe_database import KeyframeDatabase
-from .matching import PointPairs
-from .projected_matching import found_near
-from .saved_state import check_saved_landmarks
+from .matching import PointPairs, found_near
 
 NO_LANDMARK = -1
 
@@ -244,3 +243,24 @@ class Landmarks:
         joined = joined[(joined >= 0).all(1)]
         links = coo_matrix((np.ones(len(joined)), joined.T), shape=(len(self), len(self)))
         return connected_components(links, directed=False)[1].astype(np.int64)
+
+
+def check_saved_landmarks(state: dict[str, Any], n_features: list[int]) -> None:
+    """Raise ``ValueError`` if a feature names a landmark that does not exist, or a landmark such a feature.
+
+    Args:
+        state: From ``Landmarks.state_dict``.
+        n_features: Number of features of each keyframe.
+    """
+    birth = state["birth"]
+    check_saved("birth of the landmarks", birth, ("L", 2), torch.int32)
+    check_saved("xyz_B of the landmarks", state["xyz_B"], (len(birth), 3), torch.float64)
+    check_saved("views of the landmarks", state["views"], (len(birth), 2), torch.int32)
+    for n, landmarks in zip(n_features, state["of_feature"], strict=True):
+        check_saved("landmarks of a keyframe", landmarks, (n,), torch.int32)
+        if n and not -1 <= int(landmarks.min()) <= int(landmarks.max()) < len(birth):
+            raise ValueError(f"landmarks of a keyframe must be from -1 to {len(birth) - 1}")
+    row, feature = birth.long().unbind(1)
+    known = (row >= 0) & (row < len(n_features))
+    if not bool(known.all()) or bool(((feature < 0) | (feature >= torch.tensor(n_features or [0])[row])).any()):
+        raise ValueError("the first observation of a landmark must be a feature of a keyframe")

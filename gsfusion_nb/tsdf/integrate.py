@@ -1,4 +1,7 @@
-"""Fuse one RGB-D frame into the volume (GSFusion III-B.1, Eq. 6-9; Curless & Levoy 1996)."""
+"""Fuse one RGB-D frame into the volume (GSFusion III-B.1, Eq. 6-9; Curless & Levoy 1996).
+
+``FusedView`` is a preview of a volume with a frame fused into it; the volume does not change.
+"""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -11,10 +14,12 @@ from ..backends import op, piece
 from ..checks import check_pose
 from ..config import TsdfConfig
 from ..geometry import project, se3
-from ..operands import check_frame_on
+from ..operands import check_frame_on, check_operand
 from ..types import Camera, Frame
 from .allocate import allocate
-from .volume import TsdfSample, TsdfVolume, check_volume
+from .octree import NewBlocks
+from .raycast import RaycastOutput, raycast
+from .volume import TsdfSample, TsdfVolume, block_of, check_volume
 
 INT16_ONE = 32767.0
 """D = 1 in the 16-bit integers of the released code."""
@@ -226,3 +231,80 @@ def fuse_voxels(
         step = (w / W_rgb.clamp(min=LEAST_COLOUR_WEIGHT)).clamp(max=1.0)
     rgb_k = before.rgb + step[..., None] * (frame.rgb[v, u] - before.rgb)
     return TsdfSample(D=D_k, W=W_k, rgb=rgb_k.where(observed[..., None], before.rgb), W_rgb=W_rgb), observed
+
+
+class FusedView:
+    """Shows a volume as if ``frame`` were already fused; the volume is not changed.
+
+    GSFusion's seeding rules need the volume with the frame fused into it. With this view they can run before it is
+    fused, so that a rule that fails leaves the map unchanged.
+
+    Args:
+        volume: The volume before the frame.
+        frame: The frame that will be fused.
+        missing: The blocks that will be allocated for it, from ``new_band_blocks``.
+    """
+
+    def __init__(self, volume: TsdfVolume, frame: Frame, missing: NewBlocks):
+        self.config = volume.config
+        self._volume, self._frame, self._missing = volume, frame, missing
+
+    def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
+        """Values that the voxels containing the points will have.
+
+        Args:
+            xyz_W: Points, world frame, metres. [N, 3]
+
+        Differentiable: no.
+        """
+        return sample_fused_voxels(self._volume, self._frame, self._missing, xyz_W)
+
+    def raycast(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
+        """The surface that a camera will see; computed in a copy of the volume into which the frame is fused.
+
+        Raises:
+            MemoryError: no room for the copy.
+
+        Differentiable: no.
+        """
+        copy = self._volume.to(self._volume.device)
+        copy.add_blocks(self._missing.coords)
+        fuse_frame_(copy, self._frame)
+        return raycast(copy, camera, T_WC)
+
+
+def check_sample_fused(volume: Any, frame: Any, missing: Any, xyz_W: Any) -> None:
+    """Raise ``ValueError`` for arguments that ``sample_fused_voxels`` refuses."""
+    check_fuse(volume, frame)
+    if not isinstance(missing, NewBlocks):
+        raise ValueError(f"missing must be NewBlocks, got {type(missing).__name__}")
+    device = volume.D.device
+    check_operand("codes", missing.codes, ("M",), dtypes=(torch.int64,), device=device)
+    check_operand("coords", missing.coords, (len(missing), 3), dtypes=(torch.int64,), device=device)
+    check_operand("xyz_W", xyz_W, ("N", 3), device=device)
+
+
+@op("sample", check_sample_fused)
+def sample_fused_voxels(
+    volume: TsdfVolume, frame: Frame, missing: NewBlocks, xyz_W: Float[Tensor, "N 3"]
+) -> TsdfSample:
+    """Values that voxels will have; the operation behind ``FusedView.sample_nearest``.
+
+    Raises:
+        ValueError: the pose is not rigid.
+
+    Source: GSFusion III-B.1, Eq. 6-9. Differentiable: no.
+    """
+    T_CW = se3.inverse(frame.T_WC.double())
+    before = volume.sample_nearest(xyz_W)
+    ijk = volume.voxel_index(xyz_W)
+    block = block_of(ijk)
+    in_view = corners_in_view(volume.corners_of(block), volume.config, frame.camera, T_CW)
+    changes = ((volume.index.find(block) >= 0) | missing.contains(block)) & in_view
+    after, _ = fuse_voxels(before, se3.apply(T_CW, volume.centres_of(ijk)), frame, volume.config)
+    return TsdfSample(
+        D=after.D.where(changes, before.D),
+        W=after.W.where(changes, before.W),
+        rgb=after.rgb.where(changes[:, None], before.rgb),
+        W_rgb=after.W_rgb.where(changes, before.W_rgb),
+    )

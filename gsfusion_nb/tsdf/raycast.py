@@ -12,8 +12,7 @@ from ..checks import check_pose
 from ..geometry import pixel_grid, rays, se3
 from ..operands import check_view
 from ..types import Camera
-from .trilinear import corner_gradients, corner_weights
-from .volume import TsdfVolume, check_volume
+from .volume import TsdfVolume, check_volume, corner_gradients, corner_weights
 
 STEP = 0.7
 """Share of the stored distance to advance. D was measured along other rays and overestimates the true distance."""

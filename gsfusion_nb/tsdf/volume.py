@@ -1,5 +1,9 @@
-"""The volumetric map: an unordered pool of 8^3 voxel blocks, found through a linear octree."""
+"""The volumetric map: an unordered pool of 8^3 voxel blocks, found through a linear octree.
 
+Between voxel centres D is interpolated: trilinear weights of the eight corners of a cell, and their derivatives.
+"""
+
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +17,30 @@ from ..config import TsdfConfig, from_dict, to_dict
 from ..constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from ..operands import check_operand
 from .block_pool import BlockPool
-from .morton import encode
-from .octree import BlockIndex, NewBlocks
-from .trilinear import corner_weights, corners
+from .octree import BlockIndex, NewBlocks, encode
+
+CORNERS = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)])
+"""Corner c = x + 2 y + 4 z of a unit cube. [8, 3]"""
+
+
+@functools.cache
+def corners(device: torch.device) -> Int[Tensor, "8 3"]:
+    """``CORNERS`` on a device; copied there once, because a GPU is waited for."""
+    return CORNERS.to(device)
+
+
+def corner_weights(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8"]:
+    """Trilinear weights of the corners of a cell, at fractions ``f`` along its edges: products of f or 1 - f."""
+    return torch.where(corners(f.device) == 1, f[:, None], 1.0 - f[:, None]).prod(2)
+
+
+def corner_gradients(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8 3"]:
+    """Derivatives of ``corner_weights`` along the three axes: plus or minus the product over the other two axes."""
+    upper = corners(f.device) == 1
+    along = torch.where(upper, f[:, None], 1.0 - f[:, None])
+    others = along[..., [[1, 2], [0, 2], [0, 1]]].prod(3)
+    return torch.where(upper, others, -others)
+
 
 VOXELS = torch.tensor([[x, y, z] for x in range(8) for y in range(8) for z in range(8)])
 """Place of voxel 64 x + 8 y + z in its block. [512, 3]"""

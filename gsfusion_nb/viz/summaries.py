@@ -19,7 +19,7 @@ from ..drawing.pictures import (
 )
 from ..gaussians import GaussianModel
 from ..runs import FinishedRun, MappingRun
-from ..runs.posed_frames import frames_in_map
+from ..runs.scored_views import frames_in_map
 from ..seeding import Cells
 from ..tsdf import TsdfVolume
 from ..types import Frame

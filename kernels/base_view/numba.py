@@ -5,9 +5,8 @@ import torch
 from numba import int64, njit, prange
 from torch import Tensor
 
-from gsfusion_nb.render.base_image import SAME_SURFACE, BaseView
-from gsfusion_nb.render.base_image import base_view as reference
-from gsfusion_nb.render.over_base import Base
+from gsfusion_nb.render.over_base import SAME_SURFACE, Base, BaseView
+from gsfusion_nb.render.over_base import base_view as reference
 
 from ..runtime.numba.launch import launching
 

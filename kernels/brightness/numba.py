@@ -16,7 +16,7 @@ from torch import Tensor
 
 from gsfusion_nb.tracking.brightness import FLAT, USUAL_ERROR, BrightnessSystem, Picture
 from gsfusion_nb.tracking.brightness import brightness_system as reference
-from gsfusion_nb.tracking.pyramid import DepthLevel
+from gsfusion_nb.tracking.surface import DepthLevel
 
 from ..icp.numba import dot, poses_of
 from ..runtime.arguments import lens_of

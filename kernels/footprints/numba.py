@@ -9,7 +9,7 @@ from torch import Tensor
 
 from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.render.footprints import Footprints
+from gsfusion_nb.render.on_screen import Footprints
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..project.geometry import camera_point
@@ -22,7 +22,7 @@ _NEAR, _ALPHA_MIN, _ONE, _ZERO = f32(NEAR_PLANE_M), f32(ALPHA_MIN), f32(1.0), f3
 
 
 def footprints(params: GaussianParams, camera: Camera, T_WC: Tensor) -> Footprints:
-    """See ``gsfusion_nb.render.footprints``."""
+    """See ``gsfusion_nb.render.on_screen``."""
     columns = (params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh)
     arrays = Params(*(t.detach().contiguous().numpy() for t in columns))
     T = T_WC.detach().double()

@@ -3,9 +3,8 @@
 import torch
 from torch import Tensor
 
-from gsfusion_nb.tracking.normal_equations import IcpSystem
-from gsfusion_nb.tracking.pyramid import DepthLevel
-from gsfusion_nb.tracking.surface import Surface
+from gsfusion_nb.tracking.icp import IcpSystem
+from gsfusion_nb.tracking.surface import DepthLevel, Surface
 
 H_ROWS = H_0, H_1, H_2, H_3, H_4, H_5 = 0, 6, 11, 15, 18, 20
 """Where among the sums of a kernel each row of H begins: with its entry on the diagonal, for H is symmetric."""

@@ -1,6 +1,6 @@
 """Normal equations of point-to-plane ICP in one pass over the pixels of a frame.
 
-The formulas are those of ``gsfusion_nb.tracking.normal_equations``. Each row of pixels first lists
+The formulas are those of ``gsfusion_nb.tracking.icp``. Each row of pixels first lists
 its correspondences, sqrt(w) [J, r, 1] in columns, then multiplies them: 29 vectorised dot products. Rows are added up
 in order, so the sums do not depend on the number of threads.
 """
@@ -15,10 +15,9 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.tracking.normal_equations import IcpSystem
-from gsfusion_nb.tracking.normal_equations import icp_system as reference
-from gsfusion_nb.tracking.pyramid import DepthLevel
-from gsfusion_nb.tracking.surface import Surface
+from gsfusion_nb.tracking.icp import IcpSystem
+from gsfusion_nb.tracking.icp import icp_system as reference
+from gsfusion_nb.tracking.surface import DepthLevel, Surface
 
 from ..runtime.arguments import lens_of
 from ..runtime.numba.launch import launching

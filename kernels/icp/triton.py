@@ -1,6 +1,6 @@
 """Normal equations of point-to-plane ICP in one pass over the pixels of a frame.
 
-The formulas are those of ``gsfusion_nb.tracking.normal_equations``. A program sums 256 pixels in float32; the programs'
+The formulas are those of ``gsfusion_nb.tracking.icp``. A program sums 256 pixels in float32; the programs'
 sums are added in float64. They repeat bit for bit.
 """
 
@@ -13,10 +13,9 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.tracking.normal_equations import IcpSystem
-from gsfusion_nb.tracking.normal_equations import icp_system as reference
-from gsfusion_nb.tracking.pyramid import DepthLevel
-from gsfusion_nb.tracking.surface import Surface, about_the_surface
+from gsfusion_nb.tracking.icp import IcpSystem
+from gsfusion_nb.tracking.icp import icp_system as reference
+from gsfusion_nb.tracking.surface import DepthLevel, Surface, about_the_surface
 
 from ..runtime.arguments import lens_of
 from ..runtime.triton.launch import device_of, launch, load3, load_position, parts

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tracking.landmark_rows import LandmarkRows, landmark_pose, landmark_sums
+from gsfusion_nb.tracking.bundle_adjustment import LandmarkRows, landmark_pose, landmark_sums
 
 from ..runtime.cases import Case, make_sighted_points
 

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from gsfusion_nb.geometry import project
 from gsfusion_nb.tracking import Features
-from gsfusion_nb.tracking.matching import match_features
-from gsfusion_nb.tracking.projected_matching import found_near
+from gsfusion_nb.tracking.matching import found_near, match_features
 
 from ..runtime.cases import Case, make_frame
 

@@ -16,8 +16,7 @@ from numba import njit
 from torch import Tensor
 
 from gsfusion_nb.tracking.features import Features
-from gsfusion_nb.tracking.matching import MAX_HAMMING, RATIO
-from gsfusion_nb.tracking.projected_matching import NEAREST_M
+from gsfusion_nb.tracking.matching import MAX_HAMMING, RATIO, SEARCHED_FROM_M
 from gsfusion_nb.types import Camera
 
 from ..runtime.arguments import lens_of
@@ -53,7 +52,7 @@ def match_features(query: Features, reference: Features) -> Tensor:
 def found_near(
     camera: Camera, xyz_W: np.ndarray, descriptors: np.ndarray, features: Features, T_WC: Tensor, radius_px: float
 ) -> np.ndarray:
-    """See ``gsfusion_nb.tracking.projected_matching.found_near``."""
+    """See ``gsfusion_nb.tracking.matching.found_near``."""
     points = Points(xyz_W=np.ascontiguousarray(xyz_W), words=_words(descriptors))
     view = View(
         uv=features.uv.numpy().astype(np.float64),
@@ -126,7 +125,7 @@ def _match_near(points, view, lens, radius_px):
     for p in range(n):
         d0, d1, d2 = points.xyz_W[p, 0] - T[0, 3], points.xyz_W[p, 1] - T[1, 3], points.xyz_W[p, 2] - T[2, 3]
         z = d0 * T[0, 2] + d1 * T[1, 2] + d2 * T[2, 2]
-        if not z > NEAREST_M:
+        if not z > SEARCHED_FROM_M:
             continue
         u = lens.fx * (d0 * T[0, 0] + d1 * T[1, 0] + d2 * T[2, 0]) / z + lens.cx
         v = lens.fy * (d0 * T[0, 1] + d1 * T[1, 1] + d2 * T[2, 1]) / z + lens.cy

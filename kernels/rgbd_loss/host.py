@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from gsfusion_nb.optim.rgbd_loss import RgbdLoss
+from gsfusion_nb.optim.losses import RgbdLoss
 
 COLOUR_VALUES, DEPTH_PIXELS, COLOUR_SUM, DEPTH_SUM = range(4)
 """What the kernels add up: values of colour and pixels with a depth loss, then sum |C - C^| and sum |D - D^|."""

@@ -8,8 +8,8 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.optim.rgbd_loss import RgbdLoss
-from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp as reference
+from gsfusion_nb.optim.losses import RgbdLoss
+from gsfusion_nb.optim.losses import rgbd_l1_vjp as reference
 
 from ..runtime.numba.launch import launching
 from .host import COLOUR_SUM, COLOUR_VALUES, DEPTH_PIXELS, DEPTH_SUM, N_SUMS, is_float32, limit_m, to_loss

@@ -13,7 +13,7 @@ import torch
 from gsfusion_nb.course import exercises, learner_code, tsdf
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.optim import l1_vjp
-from gsfusion_nb.tsdf import morton
+from gsfusion_nb.tsdf import octree as morton
 
 ALL = exercises()
 

@@ -1,5 +1,6 @@
 """PSNR, SSIM, LPIPS and depth error: closed forms, a brute-force SSIM, and views read one by one."""
 
+import json
 import math
 import sys
 
@@ -12,8 +13,11 @@ from gsfusion_nb.evaluation import (
     NotComputed,
     depth_l1_m,
     expected_depth_m,
+    format_metric,
+    frame_rates,
     lpips,
     lpips_as_released,
+    mesh_psnr,
     metrics_as_json,
     psnr,
     score_views,
@@ -21,7 +25,7 @@ from gsfusion_nb.evaluation import (
     ssim_as_released,
 )
 from gsfusion_nb.evaluation import image as image_module
-from gsfusion_nb.types import Camera, Frame, RenderOutput
+from gsfusion_nb.types import Camera, Frame, Mesh, RenderOutput
 
 
 def picture(generator, height=24, width=31):
@@ -253,3 +257,86 @@ def test_scores_do_not_depend_on_the_number_of_threads():
     finally:
         torch.set_num_threads(threads)
     assert len(set(found)) == 1
+
+
+CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
+
+
+def frame(depth_m=2.0):
+    """A wall in front of the camera; the colour of a pixel says where it is."""
+    row, column = torch.meshgrid(torch.arange(6) / 10, torch.arange(8) / 10, indexing="ij")
+    rgb = torch.stack([column, row, torch.full_like(row, 0.5)], dim=-1)
+    return Frame(
+        index=0, timestamp_s=0.0, rgb=rgb, depth_m=torch.full((6, 8), depth_m), camera=CAMERA, T_WC=torch.eye(4)
+    )
+
+
+def at(column, row, z_m, rgb):
+    """A vertex behind the centre of a pixel."""
+    return [(column + 0.5 - 4.0) / 8.0 * z_m, (row + 0.5 - 3.0) / 8.0 * z_m, z_m], rgb
+
+
+def mesh_of(*vertices):
+    return Mesh(
+        vertices_W=torch.tensor([xyz for xyz, _ in vertices]),
+        faces=torch.zeros(0, 3, dtype=torch.int64),
+        rgb=torch.tensor([rgb for _, rgb in vertices]),
+    )
+
+
+def test_vertices_are_compared_with_their_pixels_and_hidden_ones_are_not():
+    vertices = [
+        at(3, 1, 2.0, [0.3, 0.1, 0.7]),  # blue is wrong by 0.2
+        at(5, 4, 2.015, [0.5, 0.4, 0.5]),
+        at(2, 2, 2.3, [1.0, 1.0, 1.0]),  # behind the wall
+        at(2, 3, 1.7, [1.0, 1.0, 1.0]),  # nothing was seen there
+        at(9, 2, 2.0, [1.0, 1.0, 1.0]),  # outside the picture
+        at(2, 3, -2.0, [1.0, 1.0, 1.0]),  # behind the camera
+    ]
+    expected = -10 * torch.tensor(0.2**2 / 6).log10()
+    assert mesh_psnr(mesh_of(*vertices), [frame()]) == pytest.approx(float(expected), abs=1e-3)
+    assert mesh_psnr(mesh_of(*vertices), [frame(), frame(5.0)]) == pytest.approx(float(expected), abs=1e-3)
+
+
+def test_no_number_if_no_view_shows_the_mesh():
+    assert mesh_psnr(mesh_of(at(3, 1, 2.0, [0.5] * 3)), [frame(5.0)]) == NotComputed(
+        "no view shows a vertex of the mesh"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("psnr_held_out_db", 23.6789, "23.68\u00a0dB"),
+        ("ssim_mapped", 0.81234, "0.812"),
+        ("n_gaussians", 1234567, "1,234,567"),
+        ("mesh_accuracy_m", 0.0123, "1.23\u00a0cm"),
+        ("mesh_completion_ratio", 0.5, "50.0\u00a0%"),
+        ("rpe_rotation_deg", 0.5, "0.500°"),
+        ("psnr_mapped_db", math.inf, "∞\u00a0dB"),
+        ("psnr_mapped_db", math.nan, "not computed: the result is not a number"),
+        ("lpips_mapped", NotComputed("no weights"), "not computed: no weights"),
+        ("lpips_mapped", {"not_computed": "no weights"}, "not computed: no weights"),
+        ("n_keyframes", None, "not computed: not measured in this run"),
+        ("something_new", 0.123456, "0.1235"),
+        ("something_new", "text", "text"),
+    ],
+)
+def test_format(name, value, text):
+    assert format_metric(name, value) == text
+
+
+def test_json_is_strict_and_comes_back():
+    metrics = {"a": 1.5, "b": math.nan, "c": NotComputed("why"), "d": math.inf, "e": None}
+    text = json.dumps(metrics_as_json(metrics), allow_nan=False)
+    assert json.loads(text)["c"] == {"not_computed": "why"}
+    assert format_metric("lpips_mapped", json.loads(text)["c"]) == "not computed: why"
+    assert json.loads(text)["d"] == "infinite"
+
+
+def test_both_frame_rates_by_hand():
+    rates = frame_rates([0.1, 0.4])
+    assert rates["fps_total"] == pytest.approx(4.0)
+    assert rates["fps_mean_inverse"] == pytest.approx((10 + 2.5) / 2)
+    assert isinstance(frame_rates([])["fps_total"], NotComputed)
+    assert isinstance(frame_rates([0.1, 0.0])["fps_mean_inverse"], NotComputed)

@@ -12,7 +12,7 @@ import torch
 from small_map import small_map
 
 from gsfusion_nb.export import read_gaussians, write_gaussian_ply, write_map_glb
-from gsfusion_nb.gaussians.moved import moved
+from gsfusion_nb.gaussians.rows import moved
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.types import GaussianParams
 

@@ -10,7 +10,7 @@ import torch
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.export import read_map_glb, write_map_glb
 from gsfusion_nb.export.map_glb import EXTENSION
-from gsfusion_nb.gaussians.moved import moved
+from gsfusion_nb.gaussians.rows import moved
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.geometry.upright import turn_to_minus_y_up, turn_to_y_up
 from gsfusion_nb.render import render

@@ -7,7 +7,7 @@ from gsfusion_nb.config import replace
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.optim import depth_l1
-from gsfusion_nb.optim.map_penalties import anisotropy
+from gsfusion_nb.optim.losses import anisotropy
 
 
 def held_out_psnr(mapper, split) -> float:

@@ -1,3 +1,5 @@
+"""Adam with one constant rate per group, against torch's."""
+
 import dataclasses
 
 import pytest
@@ -5,10 +7,10 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig
-from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.gaussians import Edit, GaussianModel
 from gsfusion_nb.gaussians.model import PARAMETERS
 from gsfusion_nb.kernels.runtime.cases import make_params
-from gsfusion_nb.optim import ColumnRates, adam_step, adam_update, adam_update_map
+from gsfusion_nb.optim import ColumnRates, RowAdam, adam_step, adam_update, adam_update_map
 from gsfusion_nb.types import GaussianParams, Seeds
 
 MOMENTS = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-15}
@@ -124,3 +126,152 @@ def test_late_rows_in_a_shared_model(generator):
     adam_step(model, constant_gradients(model.params), config)
     # bias correction of v at t = 201 is 0.182, so the first step is 0.1 / sqrt(0.001 / 0.182) = 1.35 learning rates
     assert before - model.params.opacity_logit[1].item() == pytest.approx(1.3497 * 5e-2, rel=1e-3)
+
+
+RATES = {"xyz_W": 1e-3, "log_scale": 4e-3, "quat": 2e-3, "sh_dc": 5e-4, "sh_rest": 2.5e-5}
+
+
+def rows(n: int, generator: torch.Generator, dtype=torch.float32) -> GaussianParams:
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator, dtype=dtype)
+
+    return GaussianParams(
+        xyz_W=normal(n, 3), log_scale=normal(n, 3), quat=normal(n, 4), opacity_logit=normal(n), sh=normal(n, 9, 3)
+    )
+
+
+def copy(params: GaussianParams) -> GaussianParams:
+    return GaussianParams(**{name: value.clone() for name, value in vars(params).items()})
+
+
+@pytest.mark.parametrize("n", [0, 1, 11])
+def test_twenty_steps_of_torch_adam(n, generator):
+    params = rows(n, generator)
+    leaves = {name: value.clone().requires_grad_() for name, value in vars(params).items() if name != "sh"}
+    leaves |= {"sh_dc": params.sh[:, :1].clone().requires_grad_(), "sh_rest": params.sh[:, 1:].clone().requires_grad_()}
+    groups = [{"params": [leaves[name]], "lr": lr} for name, lr in RATES.items()]
+    theirs = torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15)
+    born = params.opacity_logit.clone()
+    ours = RowAdam(params, RATES)
+    for step in range(20):
+        g = rows(n, generator)
+        if step % 3 == 0:
+            g.xyz_W[: n // 2] = 0.0  # rows that this view does not show
+        for name, leaf in leaves.items():
+            leaf.grad = {"sh_dc": g.sh[:, :1], "sh_rest": g.sh[:, 1:]}.get(name, getattr(g, name, None))
+        theirs.step()
+        ours.step(g)
+    for name in ("xyz_W", "log_scale", "quat"):
+        torch.testing.assert_close(getattr(params, name), leaves[name].detach(), atol=1e-6, rtol=0)
+    torch.testing.assert_close(params.sh[:, :1], leaves["sh_dc"].detach(), atol=1e-6, rtol=0)
+    torch.testing.assert_close(params.sh[:, 1:], leaves["sh_rest"].detach(), atol=1e-6, rtol=0)
+    assert torch.equal(params.opacity_logit, born)
+
+
+@pytest.mark.parametrize("still", [("xyz_W",), ("xyz_W", "log_scale", "quat"), ("sh_dc", "sh_rest")])
+def test_groups_at_rate_zero_are_left_alone(still, generator):
+    params = rows(4, generator)
+    before = copy(params)
+    adam = RowAdam(params, RATES | dict.fromkeys(still, 0.0))
+    for _ in range(5):
+        adam.step(rows(4, generator))
+    unmoved = {name for name in PARAMETERS if torch.equal(getattr(params, name), getattr(before, name))}
+    expected = set(still) & set(PARAMETERS) | {"opacity_logit"} | ({"sh"} if "sh_dc" in still else set())
+    assert unmoved == expected
+
+
+def test_no_gradient_moves_nothing(generator):
+    params = rows(3, generator)
+    before = copy(params)
+    adam = RowAdam(params, RATES)
+    for _ in range(3):
+        adam.step(GaussianParams(**{name: torch.zeros_like(value) for name, value in vars(params).items()}))
+    for name in PARAMETERS:
+        assert torch.equal(getattr(params, name), getattr(before, name))
+
+
+def test_gradients_may_have_more_rows(generator):
+    """The optimiser works on the first rows of the picture's Gaussians; those behind are frozen."""
+    params = rows(5, generator)
+    part, alone = copy(params), copy(params[:2])
+    g = rows(5, generator)
+    RowAdam(part[:2], RATES).step(g)
+    RowAdam(alone, RATES).step(g[:2])
+    for name in PARAMETERS:
+        assert torch.equal(getattr(part, name)[:2], getattr(alone, name))
+        assert torch.equal(getattr(part, name)[2:], getattr(params, name)[2:])
+
+
+def test_state_round_trip(generator):
+    params = rows(6, generator)
+    gradients = [rows(6, generator) for _ in range(8)]
+    whole, parted = RowAdam(copy(params), RATES), RowAdam(copy(params), RATES)
+    for g in gradients[:4]:
+        whole.step(g)
+        parted.step(g)
+    state = parted.state_dict()
+    resumed = RowAdam(copy(parted.params), RATES)
+    parted.step(gradients[0])  # what was saved stays as it was
+    resumed.load_state_dict(state)
+    for g in gradients[4:]:
+        whole.step(g)
+        resumed.step(g)
+    for name in PARAMETERS:
+        assert torch.equal(getattr(whole.params, name), getattr(resumed.params, name))
+    assert resumed.steps == 8
+
+
+COLUMNS = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
+
+
+def map_of(generator, n: int = 9) -> GaussianModel:
+    model = GaussianModel(sh_degree=1)
+    xyz, rgb = (torch.rand(n, 3, generator=generator) for _ in range(2))
+    model.append(Seeds.isotropic(xyz, rgb, torch.full((n,), 0.05)))
+    return model
+
+
+def gradients(params: GaussianParams, generator) -> GaussianParams:
+    return GaussianParams(**{c: torch.randn(getattr(params, c).shape, generator=generator) for c in COLUMNS})
+
+
+@pytest.mark.parametrize("backend", ["reference", "auto"])
+def test_rows_take_their_part_of_the_step(generator, backend):
+    """Against a map with another learning rate for all: 0, the same, a third and twice it."""
+    factors = torch.tensor([0.0, 1, 1 / 3, 2, 0, 1, 1 / 3, 2, 1])
+    model = map_of(generator)
+    all_by = {f: GaussianModel.from_state_dict(model.state_dict()) for f in factors.unique().tolist()}
+    model.edit(Edit(rates=dict.fromkeys(COLUMNS, factors)), generator)
+    config = OptimConfig()
+    with use_backend(backend):
+        for _ in range(5):
+            g = gradients(model.params, generator)
+            adam_step(model, g, config)
+            for f, other in all_by.items():
+                rates = {name: f * value for name, value in vars(config).items() if name.startswith("lr_")}
+                adam_step(other, g, dataclasses.replace(config, **rates))
+    for name in COLUMNS:
+        for f, other in all_by.items():
+            rows = factors == f
+            found, expected = getattr(model.params, name)[rows], getattr(other.params, name)[rows]
+            if f in (0.0, 1.0):
+                assert torch.equal(found, expected), (name, f)
+            torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-6)
+        assert torch.equal(getattr(model.exp_avg_sq, name), getattr(all_by[1.0].exp_avg_sq, name))
+
+
+def test_the_rows_of_a_window_take_their_part_too(generator):
+    params = map_of(generator).params
+    rates = {"xyz_W": 0.1, "log_scale": 0.1, "quat": 0.0, "sh_dc": 0.1, "sh_rest": 0.1}
+    whole, part = (GaussianParams(**{c: getattr(params, c).clone() for c in COLUMNS}) for _ in range(2))
+    factor = torch.tensor([0.0, 1, 0.5] * 3)
+    adams = RowAdam(whole, rates), RowAdam(part, rates, {"xyz_W": factor, "quat": factor, "sh": 0 * factor})
+    g = gradients(params, generator)
+    for adam in adams:
+        adam.step(g)
+    assert torch.equal(part.sh, params.sh)
+    assert torch.equal(part.quat, params.quat)
+    assert torch.equal(part.log_scale, whole.log_scale)
+    moved, expected = part.xyz_W - params.xyz_W, whole.xyz_W - params.xyz_W
+    torch.testing.assert_close(moved, factor[:, None] * expected, atol=1e-6, rtol=0)
+    assert torch.equal(moved[1::3], expected[1::3])

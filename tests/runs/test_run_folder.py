@@ -1,10 +1,19 @@
+"""A disk that is full costs no map that was made."""
+
+import contextlib
+import errno
 import json
 import os
 import platform
+import shutil
+import subprocess
+from typing import Any
 
 import pytest
 
-from gsfusion_nb.runs import run_folder
+from gsfusion_nb import files
+from gsfusion_nb.files import DiskFullError, atomic_file, write_file
+from gsfusion_nb.runs import CheckpointEvery, resume_mapping, run_folder, run_mapping
 from gsfusion_nb.runs.run_folder import RunFolder, new_folder, read_status
 
 PROGRESS = {"frames": 3, "of": 9}
@@ -86,3 +95,104 @@ def test_an_unreadable_status_does_not_stop_a_run(tmp_path):
     with RunFolder(tmp_path) as place:
         place.write_status("running", PROGRESS)
         assert read_status(tmp_path)["state"] == "running"
+
+
+resource = pytest.importorskip("resource")
+SMALL: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
+
+
+@contextlib.contextmanager
+def files_of_at_most(size: int):
+    """The system refuses larger files, as a quota does."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_the_message_names_file_need_and_space(tmp_path, monkeypatch):
+    write_file(tmp_path / "map.bin", b"old")
+    with files_of_at_most(10_000), pytest.raises(DiskFullError, match=r"map\.bin cannot be written: a file may not be"):
+        write_file(tmp_path / "map.bin", bytes(20_000))
+    assert (tmp_path / "map.bin").read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["map.bin"]
+    monkeypatch.setattr(files, "free_space", lambda folder: 5_000_000)
+    with pytest.raises(DiskFullError, match=r"the disk is full; it needs at least 8\.0 MB, 5\.0 MB are free") as full:
+        atomic_file(tmp_path / "map.bin", size_bytes=8_000_000).__enter__()
+    assert full.value.errno == errno.ENOSPC
+
+
+def test_checkpoints_that_do_not_fit_do_not_end_the_run(tmp_path, small_room, config, caplog):
+    with files_of_at_most(3_000_000):
+        run = run_mapping(
+            "room", config, folder=tmp_path / "out", evaluate=False, checkpoints=CheckpointEvery(seconds=0, frames=2),
+            n_frames=120, width=80, height=60,
+        )  # fmt: skip
+    assert run.run.status == "complete"
+    assert "this checkpoint could not be saved" in caplog.text
+    assert "pieces cannot be written" in caplog.text
+    assert (run.folder / "gaussians.ply").exists()
+
+
+def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path, config, monkeypatch, whole_run):
+    from gsfusion_nb.runs import outputs
+
+    every = CheckpointEvery(seconds=0, frames=3)
+    write_gaussians = outputs.write_gaussian_ply
+
+    def full(path, params):
+        raise DiskFullError(errno.ENOSPC, f"{path} cannot be written: the disk is full; it needs at least 9.9 MB")
+
+    monkeypatch.setattr(outputs, "write_gaussian_ply", full)
+    with pytest.raises(DiskFullError, match=r"gaussians\.ply cannot be written: the disk is full") as failure:
+        run_mapping("room", config, folder=tmp_path / "out", evaluate=False, checkpoints=every, **SMALL)
+    monkeypatch.setattr(outputs, "write_gaussian_ply", write_gaussians)
+    assert "gsfusion-nb map --resume" in " ".join(failure.value.__notes__)
+    assert (tmp_path / "out" / "mesh.ply").exists()
+    assert (tmp_path / "out" / "trajectory.txt").exists()
+    resumed = resume_mapping(tmp_path / "out", evaluate=False)
+    assert resumed.run.hashes == whole_run.run.hashes
+    assert resumed.run.warnings == []
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 3 MB; mounting one needs rights that only some machines give."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(place)]
+    made = subprocess.run(command, capture_output=True, text=True) if shutil.which("mount") else None
+    if made is None or made.returncode != 0:
+        pytest.skip(f"no disk can be mounted here: {made.stderr.strip() if made else 'there is no command mount'}")
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def test_a_disk_that_is_really_full(small_disk, config, caplog, whole_run):
+    """The run goes to its end, what fits is kept, and with room again the maps are those of any other disk."""
+    every = CheckpointEvery(seconds=0, frames=3)
+    filler = small_disk / "filler"
+    filler.write_bytes(bytes(2_600_000))
+    with pytest.raises(
+        DiskFullError, match=r"cannot be written: the disk is full; it needs at least \d\.\d MB"
+    ) as full:
+        run_mapping("room", config, folder=small_disk / "out", evaluate=False, checkpoints=every, **SMALL)
+    assert str(small_disk) in str(full.value)
+    assert "this checkpoint could not be saved" in caplog.text
+    kept = {p.name for p in (small_disk / "out").iterdir()}
+    assert {"config.json", "status.json"} <= kept
+    assert not any(".partial" in name for name in kept)
+    filler.unlink()
+    again = run_mapping("room", config, folder=small_disk / "again", evaluate=False, **SMALL)
+    assert again.run.hashes == whole_run.run.hashes
+
+
+def test_little_space_is_said_at_the_start(tmp_path, small_room, config, monkeypatch):
+    from gsfusion_nb.runs import run_warnings
+
+    monkeypatch.setattr(run_warnings, "free_space", lambda folder: 1_000_000)
+    run = run_mapping(small_room, config, folder=tmp_path / "out", evaluate=False)
+    assert "only 1 MB are free in" in run.run.warnings[0]
+    assert "may need about" in run.run.warnings[0]

@@ -14,8 +14,7 @@ from gsfusion_nb.data import apply_options
 from gsfusion_nb.mapping import GSFusion, make_mapper
 from gsfusion_nb.mapping.step import FrameGuard
 from gsfusion_nb.runs import CheckpointEvery, StreamRun, map_sequence, outputs, resume_mapping, run_mapping
-from gsfusion_nb.runs.checkpoint import Autosave
-from gsfusion_nb.runs.run_folder import is_complete
+from gsfusion_nb.runs.run_folder import Autosave, is_complete
 
 
 @pytest.fixture

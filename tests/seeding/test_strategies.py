@@ -186,7 +186,7 @@ def test_moves_and_adds_the_same_rows_as_gsplat(gsplat, model, frame, monkeypatc
 
         return shared(opacities, scales, ratios, 1e-9)
 
-    monkeypatch.setattr(ops, "compute_relocation", relocation)  # its formula: tests/gaussians/test_edit_as_gsplat.py
+    monkeypatch.setattr(ops, "compute_relocation", relocation)  # its formula: tests/gaussians/test_edit.py
     strategy = gsplat.MCMCStrategy(min_opacity=0.01, cap_max=41)
     params, optimisers = theirs(model)
     ours = torch.Generator().manual_seed(3)

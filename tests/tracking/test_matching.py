@@ -6,18 +6,18 @@ import pytest
 import torch
 
 from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.tracking.bundle_adjustment import LandmarkRows, landmark_pose
 from gsfusion_nb.tracking.features import Features
-from gsfusion_nb.tracking.landmark_rows import LandmarkRows, landmark_pose
 from gsfusion_nb.tracking.matching import (
     PointPairs,
     fit_pairs,
+    found_near,
     is_inlier,
     match_features,
     pose_errors,
     refine_pose,
     relative_pose,
 )
-from gsfusion_nb.tracking.projected_matching import found_near
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=160.0, cy=121.0)

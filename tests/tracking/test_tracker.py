@@ -11,8 +11,7 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking import Tracker, TrackingLostError, icp, tsdf_surface
-from gsfusion_nb.tracking.attempt import Attempt, Sight, Start
-from gsfusion_nb.tracking.fit_checks import best_of
+from gsfusion_nb.tracking.attempt import Attempt, Sight, Start, best_of
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 
 VELOCITY = torch.tensor([0.02, 0.0, 0.01, 0.0, 0.02, 0.01]).double()

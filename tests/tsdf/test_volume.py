@@ -3,7 +3,7 @@ import torch
 
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume, estimate_memory
-from gsfusion_nb.tsdf.trilinear import corner_gradients, corner_weights
+from gsfusion_nb.tsdf.volume import corner_gradients, corner_weights
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 

@@ -15,7 +15,7 @@ from ...config import gsfusion
 from ...export import Saved
 from ...mapping import SYSTEMS, GSFusion, get_system
 from ...runs import CheckpointEvery, MappingRun
-from ...runs.stop_request import StopRequest
+from ...runs.run_folder import StopRequest
 from ...work import PeakMemory
 from .cases import DEVICES, BenchCase, BenchOptions, BenchRow, case_name, open_frames, our_backends
 from .timing import Lap, Timing, summary

@@ -12,9 +12,8 @@ from torch import Tensor
 from ...config import TrackingConfig
 from ...drawing.curves import BETWEEN, PALETTE
 from ...tracking import Surface, align, depth_pyramid, icp_system
-from ...tracking.gauss_newton_poses import optimise_poses_plain
-from ...tracking.pose_graph import Edge
-from ...tracking.solve import solve_step
+from ...tracking.icp import solve_step
+from ...tracking.pose_graph import Edge, optimise_poses_plain
 from ...types import Camera
 from ..panels.icp import RESIDUAL_M
 from ..panels.tsdf import distance_colours
@@ -31,7 +30,7 @@ ICP_WATCH = {
         "point_to_plane": ("r", "J"),
         "icp_system": ("r", "J", "w", "rows"),
     },
-    align: {"align": ("T_WC", "system", "step"), "_moved": ()},
+    align: {"align": ("T_WC", "system", "step")},
     solve_step: {"solve_step": ("H", "b", "eigenvalues", "known", "y")},
 }  # fmt: skip
 
@@ -144,7 +143,7 @@ def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
 def _sums(recording: Recording) -> list[Step]:
     system, solve = recording.at("return IcpSystem(")[0], recording.at("y = -directions")[0]
     H, b = system["return"].H, system["return"].b
-    step, poses = recording.at("step = _step(")[0]["step"], recording.at("T_WC = _moved(")[0]
+    step, poses = recording.at("step = _step(")[0]["step"], recording.at("T_WC = se3.translate(next_pose(")[0]
     scene = {"residual": _residuals(recording, 0), "pixel": None, "p": None, "q": None, "n": None, "H": H.numpy()}
     names = ("x", "y", "z", "about x", "about y", "about z")
     rows = [(name, text_of(x)) for name, x in zip(names, b, strict=True)]

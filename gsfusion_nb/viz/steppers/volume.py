@@ -12,8 +12,8 @@ from torch import Tensor
 from ...drawing.curves import BETWEEN, PALETTE
 from ...geometry import rays, se3
 from ...tsdf import TsdfVolume, extract_mesh, raycast
-from ...tsdf.triangle_table import EDGES
-from ...tsdf.trilinear import CORNERS
+from ...tsdf.marching_cubes import EDGES
+from ...tsdf.volume import CORNERS
 from ...types import Camera
 from ..panels.tsdf import distance_colours
 from .recording import Recording, record

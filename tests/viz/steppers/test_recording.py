@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb.seeding.quadtree import luma_variance
-from gsfusion_nb.tsdf.trilinear import corner_weights
+from gsfusion_nb.tsdf.volume import corner_weights
 from gsfusion_nb.viz.steppers.recording import file_lines, record, statement
 
 

@@ -10,8 +10,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TrackingConfig
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking import icp
-from gsfusion_nb.tracking.gauss_newton_poses import optimise_poses_plain
-from gsfusion_nb.tracking.pose_graph import Edge, odometry_information
+from gsfusion_nb.tracking.pose_graph import Edge, odometry_information, optimise_poses_plain
 from gsfusion_nb.viz import displaced_pose, frame_surface, icp_stepper, pose_graph_stepper
 
 

@@ -167,11 +167,21 @@ def read_sens(path: Path, options: ConvertOptions) -> Recording:
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         with open_regular(path, "a ScanNet .sens file") as file:
+            size = os.fstat(file.fileno()).st_size
             file.seek(header.frames_at)
             for i in range(header.n_frames):
-                *pose, colour_us, _, colour_bytes, depth_bytes = _FRAME.unpack(read_exactly(file, _FRAME.size, path))
+                head = file.read(_FRAME.size)
+                if len(head) < _FRAME.size:
+                    raise SequenceError(
+                        f"{path} is truncated: it ends at frame {i} of {header.n_frames}; download it again"
+                    )
+                *pose, colour_us, _, colour_bytes, depth_bytes = _FRAME.unpack(head)
                 source = f"{path} frame {i}"
-                data = read_exactly(file, colour_bytes, path), read_exactly(file, depth_bytes, path)
+                if colour_bytes + depth_bytes > size - file.tell():
+                    raise SequenceError(
+                        f"{path} is truncated: it ends at frame {i} of {header.n_frames}; download it again"
+                    )
+                data = file.read(colour_bytes), file.read(depth_bytes)
                 yield RecordedFrame(
                     source=source,
                     time_s=colour_us / 1e6 if colour_us else i / FRAMES_PER_S,

@@ -1,0 +1,284 @@
+"""Checkpoints whose checksums are right and whose content no run can have come to: each is refused with a sentence."""
+
+import copy
+import itertools
+import json
+import shutil
+from typing import Any
+
+import cv2
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import gsfusion, rtg_slam
+from gsfusion_nb.data import SequenceError, open_sequence
+from gsfusion_nb.export import CheckpointStore
+from gsfusion_nb.mapping import make_mapper
+from gsfusion_nb.runs import MappingRun, resume_mapping, run_mapping
+from gsfusion_nb.runs.resume import load_run
+from gsfusion_nb.runs.run_folder import CHECKPOINTS
+
+ROOM: dict[str, Any] = {"n_frames": 240, "width": 96, "height": 72}
+DATA: dict[str, Any] = {"data__stop": 5, "data__hold_out_every": 0}
+FEW: dict[str, Any] = {"window__iterations": 2, "keyframes__iterations": 2}
+SETTINGS = {
+    "gsfusion": gsfusion(
+        "online", **DATA, tsdf__voxel_size_m=0.1, sh_degree=1, keyframe_min_seeds=5, optim__global_iterations=2
+    ),
+    "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA, **FEW, keyframes__rotation_deg=0.5),
+    "tracked": rtg_slam(
+        "room", data__width=0, data__height=0, **DATA, **FEW, tracking__poses="tracked",
+        tracking__back_end__enabled=True, tracking__back_end__keyframe_rotation_deg=0.1,
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def states(tmp_path_factory):
+    """What checkpoints of interrupted runs hold: each with a step of the optimisation after the scan."""
+    pytest.importorskip("gtsam")
+    found = {}
+    for name, config in SETTINGS.items():
+        folder = tmp_path_factory.mktemp(name)
+        sequence = open_sequence("room", data=config.data, **ROOM)
+        with use_backend("auto"):
+            run = MappingRun(sequence, make_mapper(config), source={"path_or_name": "room", **ROOM})
+            for _ in itertools.chain(run.online(), itertools.islice(run.optimise(), 1)):
+                pass
+            run.save_checkpoint(folder)
+        found[name] = CheckpointStore(folder / CHECKPOINTS).load().state
+    return found
+
+
+def rows(state):
+    return state["mapper"]["gaussians"]["rows"]
+
+
+def put(*path, value):
+    """A change: the value at ``path`` is another one; a function is called with the old one."""
+
+    def change(state):
+        *holders, last = path
+        for key in holders:
+            state = state[key]
+        state[last] = value(state[last]) if callable(value) else value
+
+    return change
+
+
+def filled(index, number):
+    """A copy of a tensor with ``number`` at ``index``."""
+
+    def change(tensor):
+        tensor = tensor.clone()
+        tensor[index] = number
+        return tensor
+
+    return change
+
+
+GAUSSIANS, KEYFRAME = ("mapper", "gaussians"), ("mapper", "keyframes", 0)
+VOLUME, PLACES = ("mapper", "volume"), ("mapper", "localiser")
+BACK_END = (*PLACES, "back_end")
+MAP = (*BACK_END, "map")
+DATA_SETTINGS = ("mapper", "config", "data")
+CHANGES = {
+    "gsfusion": [
+        (put(*GAUSSIANS, "rows", "quat", value=lambda x: x[:-1]), r"quat must be \["),
+        (put(*GAUSSIANS, "rows", "xyz_W", value=lambda x: x.double()), r"xyz_W must be torch.float32, got"),
+        (put(*GAUSSIANS, "step_count", value=-1), "step_count must be >= 0"),
+        (put(*GAUSSIANS, "sh_degree", value=2), r"sh must be \["),
+        (put(*VOLUME, "D", value=filled((0, 3), float("nan"))), "D must be finite"),
+        (put(*VOLUME, "W", value=filled((0, 3), -1.0)), "W must be at least 0 in every voxel, got -1"),
+        (put(*VOLUME, "rgb", value=lambda x: x[:1]), r"rgb must be \["),
+        (put(*VOLUME, "block_coords", value=lambda x: x[:1].expand(len(x), 3).clone()), "contain every block once"),
+        (put(*VOLUME, "block_coords", value=filled((0, 0), 2**30)), "block coordinates must lie in"),
+        (put(*KEYFRAME, "rgb_u8", value=lambda x: x[:-1]), r"rgb_u8 of keyframe 0 must be \[72, 96, 3\]"),
+        (put(*KEYFRAME, "T_WC", value=lambda x: 2 * x), "T_WC of keyframe 0 must be rigid"),
+        (put(*KEYFRAME, "camera", "fx", value=1e12), "keyframe 0: fx must be between"),
+        (put("mapper", "passes", "queue", value=[99]), "keyframe in the queue must be between 0 and"),
+        (put("mapper", "passes", "done", value=0.5), "passes done must be a whole number, got 0.5"),
+        (put("mapper", "n_frames", value=3), "3 frames must have as many poses, got 5"),
+        (put(*PLACES, "poses", value=filled((1, 0, 0), float("inf"))), "poses must be finite"),
+        (put(*PLACES, "poses", value=filled((1, 0, 0), 7.0)), "pose of frame 1 must be rigid"),
+        (put("run", "next_position", value=2), "next_position must be >= 5, got 2"),
+        (put("run", "next_position", value=9), "interrupted after 9 frames, but room has 5 now; expected"),
+        (put("run", "timestamps_s", value=lambda x: x[:2]), r"timestamps_s must be \[5\], got \[2\]"),
+        (put("run", "is_optimised", value="no"), "is_optimised must be True or False, got 'no'"),
+        (put("run", "bad_in_a_row", value=True), "bad_in_a_row must be a whole number"),
+        (put("system", value="a" * 5000), r"no system 'aaa"),
+    ],
+    "settings": [
+        (put(*DATA_SETTINGS, "repair", "cx", value=30.0), "was mapped with the camera .*, but room"),
+        (put("mapper", "config", "seeding", "options", value={"a": 1}), "has no options"),
+    ],
+    "rtg_slam": [
+        (put(*GAUSSIANS, "rows", "state", value=filled(3, 2)), r"state must be 0 \(unstable\) or 1 \(stable\)"),
+        (put(*GAUSSIANS, "rows", "confidence", value=filled(3, -4)), "confidence must be at least 0 in every row"),
+        (put("mapper", "window", 0, "depth_m", value=filled((3, 3), float("nan"))), "depth_m of frame 0 must be fin"),
+        (put("mapper", "window", 0, "index", value="0"), "index of a frame must be a whole number"),
+        (put("mapper", "final", "adam", "steps", value=-1), "steps must be >= 0"),
+        (put("mapper", "final", "adam", "moments", "quat", 0, value=lambda x: x[:1]), r"moment of quat must be \["),
+        (put("mapper", "final", "anchor", "xyz_W", value=lambda x: x.double()), "anchor of xyz_W must be torch"),
+    ],
+    "tracked": [
+        (put(*PLACES, "tracker", "n_lost", value=-1), "n_lost must be >= 0"),
+        (put(*PLACES, "tracker", "last", "T_WC", value=lambda x: x.float()), "last pose must be torch.float64"),
+        (put(*PLACES, "tracker", "own", "depth_m", value=filled((0, 0), float("inf"))), "own frame must be finite"),
+        (put(*BACK_END, "edges", 0, "j", value=40), "keyframe of an edge must be between 0 and"),
+        (put(*BACK_END, "edges", 0, "kind", value="x"), "must be odometry, landmarks or loop, got 'x'"),
+        (put(*BACK_END, "loops", value=[(77, torch.zeros(0, 2, dtype=torch.int64))]), "keyframe of a loop must be"),
+        (put(*BACK_END, "thumbnails", value=[]), "thumbnails must be one for each of the"),
+        (put(*MAP, "landmarks", "birth", value=filled((0, 1), 10**6)), "first observation of a landmark must be"),
+        (put(*MAP, "landmarks", "of_feature", 0, value=filled(0, 10**6)), "landmarks of a keyframe must be"),
+        (put(*MAP, "database", "features", 0, "uv", value=lambda x: x[:-1]), r"descriptors of keyframe 0"),
+        (put(*MAP, "landmarks", "xyz_B", value=lambda x: x[:-1]), "xyz_B of the landmarks must be"),
+        (put(*MAP, "local", "keyframes", value=[99]), "keyframe of the local map must be"),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "sentence"), [(name, *rest) for name, changes in CHANGES.items() for rest in changes]
+)
+def test_what_no_run_can_have_come_to_is_refused(states, tmp_path, name, change, sentence):
+    state = copy.deepcopy(states["gsfusion" if name == "settings" else name])
+    change(state)
+    CheckpointStore(tmp_path / CHECKPOINTS).save(state)
+    with pytest.raises(ValueError, match=sentence) as caught:
+        load_run(tmp_path)
+    assert str(tmp_path) in str(caught.value)
+    assert len(str(caught.value)) < 1100
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_what_is_not_changed_is_taken(states, tmp_path, name):
+    CheckpointStore(tmp_path / CHECKPOINTS).save(states[name])
+    run = load_run(tmp_path)
+    assert (len(run.steps), run.mapper.n_frames, run.warnings) == (5, 5, [])
+
+
+def test_gaussians_that_are_lost_are_named(states, tmp_path):
+    state = copy.deepcopy(states["gsfusion"])
+    rows(state)["xyz_W"][2, 1] = float("nan")
+    CheckpointStore(tmp_path / CHECKPOINTS).save(state)
+    assert load_run(tmp_path).warnings == ["1 Gaussians of the checkpoint hold NaN or infinities; they are not drawn"]
+
+
+def test_a_checkpoint_of_a_version_with_other_keys_is_a_sentence(states, tmp_path):
+    state = copy.deepcopy(states["rtg_slam"])
+    for frame in state["mapper"]["window"]:
+        frame["picture"] = frame.pop("colour")
+    CheckpointStore(tmp_path / CHECKPOINTS).save(state)
+    with pytest.raises(ValueError, match="is damaged or from another version: TypeError"):
+        load_run(tmp_path)
+
+
+def test_a_window_with_floats_under_the_name_of_an_earlier_version_is_taken(states, tmp_path):
+    state = copy.deepcopy(states["rtg_slam"])
+    for frame in state["mapper"]["window"]:
+        frame["rgb"] = frame.pop("colour").float() / 255
+    CheckpointStore(tmp_path / CHECKPOINTS).save(state)
+    assert load_run(tmp_path).mapper.window[0].colour.dtype == torch.float32
+
+
+class Killed(BaseException):
+    """Ends a run as a kill does: nothing is saved any more."""
+
+
+@pytest.fixture
+def killed(scene, tmp_path, monkeypatch):
+    """The folders of a run that was killed after its third frame of five, and of its recording."""
+    from gsfusion_nb.runs import CheckpointEvery, map_sequence
+
+    shutil.copytree(scene, tmp_path / "wall")
+    config = gsfusion(
+        "replica",
+        sh_degree=0,
+        tsdf__voxel_size_m=0.08,
+        optim__global_iterations=1,
+        data__hold_out_every=4,
+        data__hold_out_offset=2,
+    )
+
+    class Watch:
+        def frame_mapped(self, mapper, frame, report):
+            if mapper.n_frames == 4:
+                raise Killed
+
+        def finished(self, mapper, mesh, metrics):
+            pass
+
+    with monkeypatch.context() as patch:
+        patch.setattr(map_sequence, "_rescue", lambda *_: None)
+        with pytest.raises(Killed):
+            run_mapping(
+                tmp_path / "wall", config, folder=tmp_path / "run", evaluate=False, watch=Watch(),
+                checkpoints=CheckpointEvery(seconds=0, frames=1),
+            )  # fmt: skip
+    return tmp_path / "run", tmp_path / "wall"
+
+
+def edit_intrinsics(wall, name, factor):
+    path = wall / "intrinsics.json"
+    values = json.loads(path.read_text())
+    path.write_text(json.dumps(values | {name: values[name] * factor}))
+
+
+def invert(wall):
+    path = str(wall / "rgb/000005.png")
+    image = cv2.imread(path)
+    assert image is not None
+    cv2.imwrite(path, 255 - image)
+
+
+def one_digit(wall):
+    path = wall / "poses.txt"
+    path.write_text(path.read_text().replace("5", "6", 1))
+
+
+def one_more(wall):
+    for kind in ("rgb", "depth"):
+        shutil.copyfile(wall / f"{kind}/000006.png", wall / f"{kind}/000007.png")
+    (wall / "poses.txt").write_text((wall / "poses.txt").read_text() + "1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1\n")
+
+
+def one_less(wall):
+    for kind in ("rgb", "depth"):
+        (wall / f"{kind}/000006.png").unlink()
+
+
+CHANGES_CHANGED_DATA = {
+    "an image not mapped yet": (invert, "rgb/000005.png (changed)"),
+    "a pose": (one_digit, "poses.txt (changed)"),
+    "the intrinsics": (lambda wall: edit_intrinsics(wall, "fx", 1.01), "intrinsics.json (changed)"),
+    "the depth scale": (lambda wall: edit_intrinsics(wall, "depth_scale", 2), "intrinsics.json (changed)"),
+    "a frame more": (one_more, "poses.txt (changed)"),
+    "a frame less": (one_less, "rgb/000006.png (deleted)"),
+    "a held-out image": (lambda wall: (wall / "depth/000006.png").write_bytes(b""), "depth/000006.png (changed)"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES_CHANGED_DATA)
+def test_changed_data_are_refused_and_named(killed, change):
+    folder, wall = killed
+    act, named = CHANGES_CHANGED_DATA[change]
+    act(wall)
+    with pytest.raises(SequenceError) as refused:
+        resume_mapping(folder, evaluate=False)
+    assert f"{wall}/{named}" in str(refused.value)
+    assert "--changed-data" in str(refused.value)
+
+
+def test_the_same_data_go_on_and_changed_ones_only_if_asked(killed):
+    folder, wall = killed
+    shutil.copytree(folder, folder.parent / "other")
+    (wall / "notes.txt").write_text("not read by a run")
+    whole = resume_mapping(folder, evaluate=False)
+    assert whole.run.status == "complete"
+    assert not any("files of the recording" in warning for warning in whole.run.warnings)
+    invert(wall)
+    mixed = resume_mapping(folder.parent / "other", evaluate=False, changed_data=True)
+    assert mixed.run.hashes["gaussians"] != whole.run.hashes["gaussians"]
+    assert "rgb/000005.png (changed); it went on all the same" in " ".join(mixed.run.warnings)
