@@ -5,5 +5,5 @@ them.
 """
 
 from .check import check_recording as check_recording
-from .findings import Finding as Finding
 from .report import CheckupReport as CheckupReport
+from .report import Finding as Finding

@@ -13,21 +13,27 @@ from ...data.adjust.repair import apply_options
 from ...data.open import detect_layout, known_layouts, open_sequence
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence
-from . import judge_colour, judge_fit, judge_frames, judge_intrinsics
-from .alignment import fit_colour, in_order
-from .colour_motion import colour_motion, image_speeds, moving_together
-from .conventions import pairs_of
-from .depth_values import DepthCode, clear_codes, code_finding, find_codes, missing_finding
-from .explain import Alternative, Explanation, explain, repair_fields
-from .file_checks import examine_files
-from .findings import Finding, flags_of
-from .frame_to_frame import OverFrames, gains, measure_over_frames
-from .geometry_fit import CalibrationCorrection, FitData, agreeing, median_error
+from ...drawing.page import PageGraph
+from . import colour as judge_colour
+from . import frames as judge_frames
+from .edges import colour_motion, fit_colour, image_speeds, in_order, moving_together
+from .explain import Explanation, explain, pairs_of
+from .fit import Agreement, CalibrationCorrection, FitData, agreement, median_error
+from .frames import OverFrames, graphs_of, measure_over_frames
+from .judge_fit import agreement_finding, fit_findings
 from .pictures import pictures_of, same_frames, top_view
-from .repeated import same_images
-from .report import CheckupReport
+from .report import CheckupReport, Finding, flags_of, reader_flags
 from .sample import Sample, read_sample
-from .without_poses import pose_finding, unit_finding
+from .stored_values import (
+    DepthCode,
+    clear_codes,
+    code_finding,
+    examine_files,
+    find_codes,
+    missing_finding,
+    pose_finding,
+    unit_finding,
+)
 
 
 def check_recording(
@@ -66,36 +72,37 @@ def check_recording(
     sequence = apply_options(base, given)
     sample = read_sample(sequence, frames=frames)
     pairs = pairs_of(sample)
-    common: dict[str, Any] = {"name": sample.name, "length": sample.length, "frames_read": len(sample.frames)}
-    findings.insert(0, _readable_finding(sample, given.repair))
+    report = CheckupReport(
+        name=sample.name,
+        length=sample.length,
+        frames_read=len(sample.frames),
+        findings=[_readable_finding(sample, given.repair), *findings],
+        data=given,
+    )
     if not pairs:
-        return CheckupReport(**common, findings=findings, data=given)
-    if not getattr(base, "has_poses", True):
-        alone, more = _examine_without_poses(sample, sequence, base, hint)
-        shown = pictures_of(sequence, sequence, pairs, changed=False, posed=False) if pictures else {}
-        findings, seconds = [*findings, *alone], time.perf_counter() - started
-        reader = hint if any(f.repair == _reader_flags(hint) for f in alone) else {}
-        return CheckupReport(
-            **common, findings=findings, data=_together(given, more), reader=reader, pictures=shown, seconds=seconds
-        )
-    found = _examine(sample, pairs, sequence, base, hint)
-    mended = _together(given, found.data)
-    changed = found.data != DataConfig()
+        return report
+    posed = getattr(base, "has_poses", True)
+    found = (_examine if posed else _examine_without_poses)(sample, pairs, base, hint)
+    mended, changed = _together(given, found.data), found.data != DataConfig()
     again = apply_options(base, mended)
-    e = found.explanation
-    if changed:
-        e = replace(e, after=_measured_again(again, same_frames(sequence, again, pairs), e.after))
-        e = replace(e, rows=[replace(e.after, what="with all repairs", flags=flags_of(mended)), *e.rows])
-    findings.append(judge_fit.agreement_finding(e, found.usual_error))
-    return CheckupReport(
-        **common,
-        findings=[*findings, *found.findings],
+    e, more = found.explanation, found.findings
+    if e is not None:
+        if changed:
+            e = replace(e, repaired=_measured_again(again, same_frames(sequence, again, pairs), e.repaired))
+        flags = flags_of(mended) if changed else ""
+        more = [agreement_finding(e, flags, median_error(e.data, e.corrected.correction)), *more]
+    if pictures:
+        path = top_view(sample, e.interpretation) if e else ""
+        report = replace(
+            report,
+            pictures=pictures_of(sequence, again, pairs, changed=changed and posed, posed=posed),
+            graphs=[*([PageGraph("Path from above", path)] if path else []), *(graphs_of(found.over) if e else [])],
+        )
+    return replace(
+        report,
+        findings=[*report.findings, *more],
         data=mended,
-        reader=hint if any(f.repair == _reader_flags(hint) for f in found.findings) else {},
-        rows=e.rows,
-        over=found.over,
-        pictures=pictures_of(sequence, again, pairs, changed=changed) if pictures else {},
-        top_view=top_view(sample, e.interpretation) if pictures else "",
+        reader=hint if any(f.repair == reader_flags(hint) for f in more) else {},
         seconds=time.perf_counter() - started,
     )
 
@@ -105,73 +112,66 @@ class _Found:
     findings: list[Finding]
     data: DataConfig
     """The repairs that are added to those the recording was read with."""
-    explanation: Explanation
     over: OverFrames
-    usual_error: float
+    explanation: Explanation | None = None
 
 
-def _examine(
-    sample: Sample, pairs: abc.Sequence[tuple[int, int]], sequence: Sequence, base: Sequence, hint: dict[str, Any]
-) -> _Found:
+def _examine(sample: Sample, pairs: abc.Sequence[tuple[int, int]], base: Sequence, hint: dict[str, Any]) -> _Found:
     """All findings that come from the frames read."""
     codes = find_codes(sample.frames)
     clear_codes(sample.frames, codes)
     e = explain(sample, pairs)
-    correction = e.corrected.correction
-    fields = repair_fields(correction, sample.camera, e.interpretation)
+    correction, fields = e.corrected.correction, e.fields(sample.camera)
     over = measure_over_frames(sample, e.interpretation, correction)
     colour, colour_findings = _colour(sample, base, hint)
     limits = _limits(codes, fields.get("depth_factor", e.interpretation.depth_factor))
-    frame_findings, skip, piece = _frame_findings(sample, sequence, over)
-    close = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
-    data = replace(
-        limits, start=piece.start, stop=piece.stop, repair=combined(replace(e.interpretation, **fields), colour)
-    )
-    findings = [
-        missing_finding(sample.frames),
-        code_finding(codes, base.depth_scale if isinstance(base, RecordedSequence) else None, flags_of(limits)),
-        judge_fit.scale_finding(e, sample.camera),
-        judge_fit.kind_finding(e),
-        *judge_fit.convention_findings(e),
-        judge_fit.time_finding(e, sample.camera),
-        *judge_intrinsics.intrinsics_findings(e, sample.camera),
-        *colour_findings,
-        *frame_findings,
-        judge_frames.exposure_finding(over, gains(sample, close, e.data, correction))
-        if judge_colour.OF_OTHER_FRAMES not in colour_findings[0].numbers
-        else judge_frames.exposure_unknown(),
-    ]
+    frame_findings, skip, piece = _frame_findings(sample, over)
+    if judge_colour.OF_OTHER_FRAMES in colour_findings[0].numbers:
+        text = "Cannot be known before each colour image is paired with its depth image."
+        exposure = Finding("exposure", "unknown", text)
+    else:
+        far = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
+        exposure = judge_frames.exposure_finding(over, judge_frames.gains(sample, far, e.data, correction))
+    repair = replace(combined(replace(e.interpretation, **fields), colour), skip=skip)
     return _Found(
-        findings=findings,
-        data=replace(data, repair=replace(data.repair, skip=skip)),
-        explanation=e,
+        findings=[
+            missing_finding(sample.frames),
+            code_finding(codes, getattr(base, "depth_scale", None), flags_of(limits)),
+            *fit_findings(e, sample.camera),
+            *colour_findings,
+            *frame_findings,
+            exposure,
+        ],
+        data=replace(limits, start=piece.start, stop=piece.stop, repair=repair),
         over=over,
-        usual_error=median_error(e.data, correction),
+        explanation=e,
     )
 
 
 def _examine_without_poses(
-    sample: Sample, sequence: Sequence, base: Sequence, hint: dict[str, Any]
-) -> tuple[list[Finding], DataConfig]:
+    sample: Sample, pairs: abc.Sequence[tuple[int, int]], base: Sequence, hint: dict[str, Any]
+) -> _Found:
     """Findings on the images alone, and the repairs they ask for."""
     codes = find_codes(sample.frames)
     clear_codes(sample.frames, codes)
     limits, unit = _limits(codes, 1.0), unit_finding(sample, base)
     over = measure_over_frames(sample, RepairConfig(), CalibrationCorrection(), posed=False)
     colour, colour_findings = _colour(sample, base, hint)
-    blurred, frozen = judge_frames.blurred_frames(over), same_images(sequence, sample, over)
+    blurred, frozen = judge_frames.blurred_frames(over), judge_frames.repeated_frames(over, posed=False)
     skip = tuple(sorted({*blurred, *frozen}))
-    factor = unit.numbers["factor"]
-    findings = [
-        missing_finding(sample.frames),
-        code_finding(codes, base.depth_scale if isinstance(base, RecordedSequence) else None, flags_of(limits)),
-        unit,
-        *colour_findings,
-        judge_frames.sharpness_finding(over, blurred, RepairConfig(skip=tuple(blurred)).flags),
-        judge_frames.frozen_finding(over, frozen, RepairConfig(skip=tuple(frozen)).flags, posed=False),
-        pose_finding(),
-    ]
-    return findings, replace(limits, repair=replace(colour, depth_factor=factor, skip=skip))
+    return _Found(
+        findings=[
+            missing_finding(sample.frames),
+            code_finding(codes, getattr(base, "depth_scale", None), flags_of(limits)),
+            unit,
+            *colour_findings,
+            judge_frames.sharpness_finding(over, blurred),
+            judge_frames.frozen_finding(over, frozen, posed=False),
+            pose_finding(),
+        ],
+        data=replace(limits, repair=replace(colour, depth_factor=unit.numbers["factor"], skip=skip)),
+        over=over,
+    )
 
 
 def _colour(sample: Sample, base: Sequence, hint: dict[str, Any]) -> tuple[RepairConfig, list[Finding]]:
@@ -187,20 +187,14 @@ def _colour(sample: Sample, base: Sequence, hint: dict[str, Any]) -> tuple[Repai
     )
     repair, findings = judge_colour.registration_findings(evidence, sample.camera)
     if hint and findings[0].verdict in ("doubtful", "wrong"):
-        return RepairConfig(), [replace(findings[0], repair=_reader_flags(hint)), *findings[1:]]
+        return RepairConfig(), [replace(findings[0], repair=reader_flags(hint)), *findings[1:]]
     return repair, findings
 
 
-def _frame_findings(
-    sample: Sample, sequence: Sequence, over: OverFrames
-) -> tuple[list[Finding], tuple[int, ...], DataConfig]:
+def _frame_findings(sample: Sample, over: OverFrames) -> tuple[list[Finding], tuple[int, ...], DataConfig]:
     """Findings on jumps, blur and frozen images, with the frames to leave out and the range to keep."""
     alone, cuts = judge_frames.find_jumps(over)
-    moved = set(judge_frames.frozen_frames(over))
-    blurred, frozen = (
-        judge_frames.blurred_frames(over),
-        {n: w for n, w in same_images(sequence, sample, over).items() if n in moved},
-    )
+    blurred, frozen = judge_frames.blurred_frames(over), judge_frames.repeated_frames(over)
     piece = DataConfig()
     if cuts:
         start, stop = judge_frames.longest_piece(cuts, 1 + max(int(over.number.max()), sample.length - 1))
@@ -209,8 +203,8 @@ def _frame_findings(
     findings = [
         *([motion] if motion else []),
         judge_frames.jump_finding(over, alone, cuts, flags_of(replace(piece, repair=RepairConfig(skip=tuple(alone))))),
-        judge_frames.sharpness_finding(over, blurred, RepairConfig(skip=tuple(blurred)).flags),
-        judge_frames.frozen_finding(over, frozen, RepairConfig(skip=tuple(frozen)).flags),
+        judge_frames.sharpness_finding(over, blurred),
+        judge_frames.frozen_finding(over, frozen),
     ]
     return findings, tuple(sorted({*alone, *blurred, *frozen})), piece
 
@@ -247,28 +241,19 @@ def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, A
     return source, {} if any(reader_options.get(name) for name in registration) else dict(registration)
 
 
-def _reader_flags(reader: dict[str, Any]) -> str:
-    return " ".join(f"--reader {name}={str(value).lower()}" for name, value in reader.items())
-
-
 def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:
     tried = len(sample.frames) + len(sample.unreadable)
-    ends = max(
-        abs(given.pose_shift_frames), abs(given.rgb_shift_frames)
-    )  # a shift in time leaves these frames without a pose
+    # a shift in time leaves these frames without a pose
+    ends = max(abs(given.pose_shift_frames), abs(given.rgb_shift_frames))
     bad = {i: why for i, why in sample.unreadable.items() if ends <= i <= sample.length - 1 - ends}
     numbers = {"tried": float(tried), "unusable": float(len(bad))}
     if not bad:
-        return Finding(name="frames", verdict="ok", numbers=numbers, sentence=f"All {tried} frames read are usable.")
-    few = len(sample.frames) >= 2 and len(bad) <= tried / 2
-    return Finding(
-        name="frames",
-        verdict="doubtful" if few else "wrong",
-        numbers=numbers,
-        repair="" if few else "repair the files named here",
-        sentence=f"{len(bad)} of {tried} frames cannot be used and are left out of the map, the first because "
-        f"{next(iter(bad.values()))}.",
-    )
+        return Finding("frames", "ok", f"All {tried} frames read are usable.", numbers)
+    text = f"{len(bad)} of {tried} frames cannot be used and are left out of the map, the first because "
+    text += f"{next(iter(bad.values()))}."
+    if len(sample.frames) >= 2 and len(bad) <= tried / 2:
+        return Finding("frames", "doubtful", text, numbers)
+    return Finding("frames", "wrong", text, numbers, "repair the files named here")
 
 
 def _limits(codes: abc.Sequence[DepthCode], factor: float) -> DataConfig:
@@ -283,13 +268,9 @@ def _limits(codes: abc.Sequence[DepthCode], factor: float) -> DataConfig:
     return data
 
 
-def _measured_again(sequence: Sequence, pairs: abc.Sequence[tuple[int, int]], claimed: Alternative) -> Alternative:
-    """The same alternative with the values measured on the repaired recording, at positions in it."""
-    places = sorted({p for pair in pairs for p in pair})
-    sample = read_sample(sequence, at=places)
+def _measured_again(sequence: Sequence, pairs: abc.Sequence[tuple[int, int]], claimed: Agreement) -> Agreement:
+    """How well frames of the repaired recording agree, at positions in it; as ``claimed`` if it has none of them."""
+    sample = read_sample(sequence, at=sorted({p for pair in pairs for p in pair}))
     there = sample.by_place
     kept = [(a, b) for a, b in pairs if a in there and b in there and b - a > 1]
-    if not kept:
-        return claimed
-    share, median_m = agreeing(FitData.of(sample, kept, RepairConfig()), CalibrationCorrection())
-    return replace(claimed, agreeing=share, median_m=median_m)
+    return agreement(FitData.of(sample, kept, RepairConfig()), CalibrationCorrection()) if kept else claimed

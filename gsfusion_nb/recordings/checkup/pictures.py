@@ -16,7 +16,7 @@ from ...data.sequence import BadFrameError, Sequence
 from ...drawing.curves import MUTED, PALETTE, curve_figure, figure_svg
 from ...drawing.pictures import Picture, depth_error_map, fit_width, to_uint8
 from ...types import Frame
-from .alignment import depth_edges
+from .edges import depth_edges
 from .sample import Sample
 
 EDGE_COLOUR = (0, 255, 160)

@@ -1,20 +1,48 @@
-"""The report of a check-up: findings, repair, alternatives tried, pictures; for a notebook, a terminal or a page."""
+"""The findings of a check-up, one per property, and the report of them: for a notebook, a terminal or a page."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from ...config import DataConfig
-from ...drawing.page import fill, page_picture
+from ...config import DataConfig, RepairConfig
+from ...drawing.page import PageGraph, fill, page_picture
 from ...drawing.pictures import Picture
 from ...files import write_file
-from .explain import Alternative
-from .findings import RANK, Finding, Verdict, flags_of
-from .frame_to_frame import OverFrames
-from .graphs import graphs
 
+Verdict = Literal["ok", "unknown", "doubtful", "wrong"]
+RANK: dict[Verdict, int] = {"ok": 0, "unknown": 1, "doubtful": 2, "wrong": 3}
+"""What cannot be known from the recording is no trouble, but it is not in order either: it is "unknown"."""
 _MARKS: dict[Verdict, str] = {"ok": "ok", "unknown": "--", "doubtful": "??", "wrong": "NO"}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One property that was examined."""
+
+    name: str
+    """What was examined, for example "depth scale"."""
+    verdict: Verdict
+    sentence: str
+    """What was found, with the numbers that matter."""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    """Measured numbers; the unit is part of the name."""
+    repair: str = ""
+    """Options of ``gsfusion-nb map``, or what to do; empty if nothing needs to be done."""
+
+
+def flags_of(data: DataConfig) -> str:
+    """The options of ``gsfusion-nb map`` for this range, these depth limits and these corrections."""
+    default = DataConfig()
+    names = ("start", "stop", "depth_min_m", "depth_max_m")
+    values = {name: getattr(data, name) for name in names if getattr(data, name) != getattr(default, name)}
+    words = [f"--data.{name.replace('_', '-')} {value:.6g}" for name, value in values.items()]
+    return " ".join([*words, *([data.repair.flags] if data.repair != RepairConfig() else [])])
+
+
+def reader_flags(reader: Mapping[str, Any]) -> str:
+    """The options of ``gsfusion-nb map`` for these options of the reader."""
+    return " ".join(f"--reader {name}={str(value).lower()}" for name, value in reader.items())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,14 +57,10 @@ class CheckupReport:
     frames_read: int
     reader: Mapping[str, Any] = field(default_factory=dict)
     """Options of the reader that repair it: ``open_sequence(path, **report.reader)``."""
-    rows: Sequence[Alternative] = ()
-    """The interpretations and corrections that were tried, best first."""
-    over: OverFrames | None = None
-    """Measurements from frame to frame."""
     pictures: Mapping[str, Picture] = field(default_factory=dict)
     """Caption -> picture."""
-    top_view: str = ""
-    """The path from above, SVG."""
+    graphs: Sequence[PageGraph] = ()
+    """The path from above, and what was measured over the frames."""
     seconds: float = 0.0
 
     def __getitem__(self, name: str) -> Finding:
@@ -48,18 +72,17 @@ class CheckupReport:
     @property
     def verdict(self) -> Verdict:
         """The worst verdict of all findings."""
-        return max(self.findings, key=lambda f: RANK[f.verdict]).verdict if self.findings else "ok"
+        return max((f.verdict for f in self.findings), key=RANK.__getitem__, default="ok")
 
     @property
     def ok(self) -> bool:
         """Whether nothing is wrong or doubtful; some properties may be unknown."""
-        return self.verdict in ("ok", "unknown")
+        return not self.trouble
 
     @property
     def trouble(self) -> list[Finding]:
         """The findings that are wrong or doubtful, the worst first."""
-        found = [f for f in self.findings if f.verdict in ("wrong", "doubtful")]
-        return sorted(found, key=lambda f: -RANK[f.verdict])
+        return [f for verdict in ("wrong", "doubtful") for f in self.findings if f.verdict == verdict]
 
     @property
     def unknown(self) -> list[Finding]:
@@ -69,8 +92,7 @@ class CheckupReport:
     @property
     def flags(self) -> str:
         """Options of ``gsfusion-nb map`` for all repairs together; empty if there are none."""
-        reader = [f"--reader {name}={str(value).lower()}" for name, value in self.reader.items()]
-        return " ".join([*reader, *([flags_of(self.data)] if flags_of(self.data) else [])])
+        return " ".join(words for words in (reader_flags(self.reader), flags_of(self.data)) if words)
 
     @property
     def summary(self) -> str:
@@ -105,8 +127,5 @@ class CheckupReport:
     def write(self, path: Path | str) -> Path:
         """Write everything as one HTML page that needs no other file. Returns its path."""
         shown = [page_picture(image, caption) for caption, image in self.pictures.items()]
-        over = graphs(self.over, self.top_view)
-        write_file(
-            path, fill("checkup.html", title=f"Check-up of {self.name}", report=self, pictures=shown, graphs=over)
-        )
+        write_file(path, fill("checkup.html", title=f"Check-up of {self.name}", report=self, pictures=shown))
         return Path(path)

@@ -1,11 +1,12 @@
 """The frames that a check-up examines, read one by one and reduced to what it needs."""
 
 import contextlib
+import hashlib
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
 from ...data.adjust.depth_agreement import thinned
@@ -36,10 +37,9 @@ class FrameFacts:
     """Share of pixels without depth."""
     sharpness: float
     """Mean squared Laplacian of the grey image divided by its variance, which makes it independent of exposure."""
-    brightness: float
-    """Mean grey level, 0..1."""
-    clipped: float
-    """Share of pixels that are white or black."""
+    colour_hash: str
+    depth_hash: str
+    """Of all pixels of the images as read."""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -119,6 +119,10 @@ def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
         depth_m=depth_m.clone(),
         missing=float((depth_m <= 0).float().mean()),
         sharpness=float(np.mean(np.square(laplacian.astype(np.float32)))) / (float(grey.var()) + 1.0),
-        brightness=float(grey.mean()) / 255,
-        clipped=float(np.mean((grey >= 254) | (grey <= 1))),
+        colour_hash=_hash(frame.rgb_u8),
+        depth_hash=_hash(frame.depth_m),
     )
+
+
+def _hash(image: Shaped[Tensor, "H W *C"]) -> str:
+    return hashlib.blake2b(np.ascontiguousarray(image.numpy()).tobytes(), digest_size=16).hexdigest()

@@ -13,7 +13,7 @@ from gsfusion_nb.data.readers import tum
 from gsfusion_nb.data.readers.tum import LENSES
 from gsfusion_nb.data.recorded.poses import interpolate_rows
 from gsfusion_nb.geometry import quaternion
-from gsfusion_nb.recordings.checkup.file_checks import time_stamps
+from gsfusion_nb.recordings.checkup.stored_values import time_stamps
 from gsfusion_nb.types import Camera
 
 T0 = 1305031102.0

@@ -1,7 +1,6 @@
 """Recordings on disk, broken in every way that a check-up must name."""
 
 import json
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -53,8 +52,6 @@ class Recording:
 class Breakage:
     """One way to break a recording and what the check-up must say."""
 
-    how: str
-    """For the table."""
     break_it: Callable[[Recording], None]
     named: set[str]
     """Findings that are not ok."""
@@ -168,118 +165,65 @@ _MIRROR = np.diag([1.0, -1, 1, 1])
 _SCALED = np.diag([1.3, 1.3, 1.3, 1])
 
 BREAKAGES = {
-    "clean": Breakage("nothing", lambda r: None, set()),
-    "depth 5000 as 1000": Breakage(
-        "depth scale 1000 instead of 5000", _scale_depth(5), {"depth scale"}, {"depth_factor": 0.2}
-    ),
-    "depth a tenth": Breakage(
-        "depth scale ten times too large", _scale_depth(0.1), {"depth scale"}, {"depth_factor": 10.0}
-    ),
-    "depth 4 % off": Breakage(
-        "depth scale 4 % too small", _scale_depth(1.04), {"depth scale"}, {"depth_factor": (1 / 1.04, 0.012)}
-    ),
+    "clean": Breakage(lambda r: None, set()),
+    "depth 5000 as 1000": Breakage(_scale_depth(5), {"depth scale"}, {"depth_factor": 0.2}),
+    "depth a tenth": Breakage(_scale_depth(0.1), {"depth scale"}, {"depth_factor": 10.0}),
+    "depth 4 % off": Breakage(_scale_depth(1.04), {"depth scale"}, {"depth_factor": (1 / 1.04, 0.012)}),
     "mm poses": Breakage(
-        "positions in millimetres",
         _poses(lambda T: T * np.array([[1, 1, 1, 1000.0]] * 3 + [[1, 1, 1, 1]])),
         {"depth scale"},
         {"translation_factor": 0.001},
     ),
-    "inverted": Breakage(
-        "poses world-to-camera", _poses(np.linalg.inv), {"pose direction"}, {"poses": "world_to_camera"}
-    ),
-    "opengl": Breakage("OpenGL axes", _poses(lambda T: T @ _GL), {"pose axes"}, {"axes": "opengl"}),
-    "ros": Breakage("ROS body axes", _poses(lambda T: T @ _ROS.T), {"pose axes"}, {"axes": "ros"}),
-    "unity": Breakage(
-        "left-handed world, y up", _poses(lambda T: _MIRROR @ T @ _MIRROR), {"pose axes"}, {"axes": "unity"}
-    ),
+    "inverted": Breakage(_poses(np.linalg.inv), {"pose direction"}, {"poses": "world_to_camera"}),
+    "opengl": Breakage(_poses(lambda T: T @ _GL), {"pose axes"}, {"axes": "opengl"}),
+    "ros": Breakage(_poses(lambda T: T @ _ROS.T), {"pose axes"}, {"axes": "ros"}),
+    "unity": Breakage(_poses(lambda T: _MIRROR @ T @ _MIRROR), {"pose axes"}, {"axes": "unity"}),
     "opengl view matrices": Breakage(
-        "OpenGL view matrices",
         _poses(lambda T: np.linalg.inv(T @ _GL)),
         {"pose direction", "pose axes"},
         {"poses": "world_to_camera", "axes": "opengl"},
     ),
-    "wxyz": Breakage(
-        "quaternions wxyz read as xyzw", _poses(_wxyz_as_xyzw), {"quaternion order"}, {"quaternions": "wxyz"}
-    ),
-    "columns": Breakage(
-        "matrices column by column", _poses(np.transpose), {"pose matrices"}, {"matrices": "column_major"}
-    ),
-    "scaled rotations": Breakage(
-        "rotations scaled by 1.3", _poses(lambda T: T @ _SCALED), {"pose matrices"}, {"nearest_rotation": True}
-    ),
-    "pose jump": Breakage("one pose 70 cm off", _spike, {"pose jumps"}, {"skip": (12,)}),
-    "path is interrupted": Breakage(
-        "tracking restarted elsewhere at frame 20", _broken_path, {"pose jumps"}, {"start": 0, "stop": 20}
-    ),
-    "poses early": Breakage("poses one frame early", _later(-1), {"pose time"}, {"pose_shift_frames": 1.0}),
-    "poses late": Breakage("poses two frames late", _later(2), {"pose time"}, {"pose_shift_frames": -2.0}),
+    "wxyz": Breakage(_poses(_wxyz_as_xyzw), {"quaternion order"}, {"quaternions": "wxyz"}),
+    "columns": Breakage(_poses(np.transpose), {"pose matrices"}, {"matrices": "column_major"}),
+    "scaled rotations": Breakage(_poses(lambda T: T @ _SCALED), {"pose matrices"}, {"nearest_rotation": True}),
+    "pose jump": Breakage(_spike, {"pose jumps"}, {"skip": (12,)}),
+    "path is interrupted": Breakage(_broken_path, {"pose jumps"}, {"start": 0, "stop": 20}),
+    "poses early": Breakage(_later(-1), {"pose time"}, {"pose_shift_frames": 1.0}),
+    "poses late": Breakage(_later(2), {"pose time"}, {"pose_shift_frames": -2.0}),
     "focal": Breakage(
-        "focal length 8 % too long",
         _intrinsics(lambda k: {n: 1.08 * k[n] for n in ("fx", "fy")}),
         {"focal length"},
         {"fx": ("fx", 0.01), "fy": ("fy", 0.01)},
     ),
     "cx cy": Breakage(
-        "cx and cy exchanged",
         _intrinsics(lambda k: {"cx": k["cy"], "cy": k["cx"]}),
         {"principal point"},
         {"cx": ("cx", 0.02), "cy": ("cy", 0.02)},
     ),
     "half intrinsics": Breakage(
-        "intrinsics of images half as large",
         _intrinsics(lambda k: {n: k[n] / 2 for n in ("fx", "fy", "cx", "cy")}),
         {"focal length"},
         {"fx": ("fx", 0.01), "cx": ("cx", 0.02)},
     ),
-    "other size": Breakage(
-        "intrinsics and size of images twice as large", _other_size, {"image size"}, {"fit_sizes": True}
-    ),
-    "large colour": Breakage("colour 1.5 times the size of depth", _large_colour, {"image size"}, {"fit_sizes": True}),
-    "half a pixel": Breakage(
-        "pixel centres counted the other way",
-        lambda r: r.write(pixel_centre=0.5),
-        {"pixel centres"},
-        {"pixel_shift": 0.5},
-    ),
-    "ray depth": Breakage("depth along the ray", _ray_depth, {"depth kind"}, {"depth_kind": "ray"}),
-    "65535": Breakage(
-        "65535 for missing depth",
-        lambda r: r.change_images("depth", _coded),
-        {"depth codes"},
-        {"depth_max_m": ("code", 0.02)},
-    ),
+    "other size": Breakage(_other_size, {"image size"}, {"fit_sizes": True}),
+    "large colour": Breakage(_large_colour, {"image size"}, {"fit_sizes": True}),
+    "half a pixel": Breakage(lambda r: r.write(pixel_centre=0.5), {"pixel centres"}, {"pixel_shift": 0.5}),
+    "ray depth": Breakage(_ray_depth, {"depth kind"}, {"depth_kind": "ray"}),
+    "65535": Breakage(lambda r: r.change_images("depth", _coded), {"depth codes"}, {"depth_max_m": ("code", 0.02)}),
     "colour moved": Breakage(
-        "colour 10 pixels right, 6 up",
-        _moved_colour(10, -6, 1.0),
-        {"registration"},
-        {"rgb_shift_x_px": (10, 2.0), "rgb_shift_y_px": (-6, 2.0)},
+        _moved_colour(10, -6, 1.0), {"registration"}, {"rgb_shift_x_px": (10, 2.0), "rgb_shift_y_px": (-6, 2.0)}
     ),
-    "other camera": Breakage(
-        "colour 9 % smaller and moved", _moved_colour(-12, 4, 0.91), {"registration"}, {"rgb_scale": (0.91, 0.015)}
-    ),
+    "other camera": Breakage(_moved_colour(-12, 4, 0.91), {"registration"}, {"rgb_scale": (0.91, 0.015)}),
     "mirrored": Breakage(
-        "colour mirrored",
-        lambda r: r.change_images("rgb", lambda i, c: c[i][:, ::-1]),
-        {"registration"},
-        {"rgb_mirror": "x"},
+        lambda r: r.change_images("rgb", lambda i, c: c[i][:, ::-1]), {"registration"}, {"rgb_mirror": "x"}
     ),
-    "colour ahead": Breakage("colour of two frames later", _colour_ahead, {"colour time"}, {"rgb_shift_frames": -2}),
+    "colour ahead": Breakage(_colour_ahead, {"colour time"}, {"rgb_shift_frames": -2}),
     "mixed up": Breakage(
-        "colour images shuffled",
-        lambda r: r.change_images("rgb", lambda i, c: c[(i * 7 + 3) % len(c)]),
-        {"registration"},
-        mends=False,
+        lambda r: r.change_images("rgb", lambda i, c: c[(i * 7 + 3) % len(c)]), {"registration"}, mends=False
     ),
-    "exposure": Breakage(
-        "exposure changes by 0.9 stops every 5 frames",
-        lambda r: r.change_images("rgb", _exposure),
-        {"exposure"},
-        mends=False,
-    ),
-    "blur": Breakage(
-        "frames 7 and 18 blurred", lambda r: r.change_images("rgb", _blur), {"sharpness"}, {"skip": (7, 18)}
-    ),
-    "frozen": Breakage("frames 10 and 11 repeat frame 9", _freeze, {"frozen frames"}, {"skip": (10, 11)}),
+    "exposure": Breakage(lambda r: r.change_images("rgb", _exposure), {"exposure"}, mends=False),
+    "blur": Breakage(lambda r: r.change_images("rgb", _blur), {"sharpness"}, {"skip": (7, 18)}),
+    "frozen": Breakage(_freeze, {"frozen frames"}, {"skip": (10, 11)}),
 }
 
 ROOM_SIZES = {"room": (320, 240), "small room": (160, 120)}
@@ -356,15 +300,3 @@ def broken(tmp_path, clean_recordings, request):
 def breakages():
     """All breakages by name."""
     return BREAKAGES
-
-
-@pytest.fixture(scope="session")
-def table():
-    """Lines of the table of breakages, written to ``$GSNB_CHECKUP_TABLE`` at the end of the session if it is set."""
-    lines: list[str] = []
-    yield lines
-    path = os.environ.get("GSNB_CHECKUP_TABLE")
-    if path and lines:
-        head = "| recording | broken how | what it said | agreeing as read -> repaired | repair | right |"
-        head += "\n|---|---|---|---|---|---|"
-        Path(path).write_text("\n".join([head, *lines, ""]))

@@ -1,4 +1,4 @@
-"""A shift of colour and a time offset, told apart by the speed of the image."""
+"""Colour edges against depth edges; a shift of colour and a time offset, told apart by the speed of the image."""
 
 import dataclasses
 
@@ -7,19 +7,54 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.recordings.checkup.alignment import ColourFit, fit_colour
-from gsfusion_nb.recordings.checkup.colour_motion import (
+from gsfusion_nb.recordings.checkup.colour import OF_OTHER_FRAMES, ColourEvidence, registration_findings
+from gsfusion_nb.recordings.checkup.edges import (
+    ColourFit,
     ColourMotion,
+    colour_contrast,
     colour_motion,
+    depth_edges,
+    fit_colour,
     image_speeds,
     line_through,
     moving_together,
 )
-from gsfusion_nb.recordings.checkup.judge_colour import OF_OTHER_FRAMES, ColourEvidence, registration_findings
 from gsfusion_nb.recordings.checkup.sample import read_sample
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=320, height=240, fx=300.0, fy=300.0, cx=160.0, cy=120.0)
+
+
+def test_edges_belong_to_the_nearer_side():
+    depth_m = np.full((6, 8), 4.0, np.float32)
+    depth_m[2:5, 3:6] = 1.0
+    expected = np.zeros((6, 8))
+    expected[2:5, 3:6] = 1
+    expected[3, 4] = 0
+    assert np.array_equal(depth_edges(depth_m), expected)
+
+
+def test_narrow_holes_beside_an_object_are_background():
+    depth_m = np.full((1, 30), 4.0, np.float32)
+    depth_m[0, 10:15] = 1.0
+    depth_m[0, 15:20] = 0.0  # the part that the projector does not reach
+    assert np.flatnonzero(depth_edges(depth_m)[0]).tolist() == [10, 14]
+    depth_m[0, 15:29] = 0.0  # too wide to know
+    assert np.flatnonzero(depth_edges(depth_m)[0]).tolist() == [10]
+
+
+def test_a_slope_has_no_edges():
+    depth_m = np.linspace(1, 3, 100, dtype=np.float32)[None].repeat(5, 0)
+    assert depth_edges(depth_m).sum() == 0
+
+
+def test_contrast_is_the_same_in_weak_light():
+    image = np.full((60, 80), 40, np.uint8)
+    image[:, 40:] = 200
+    contrast = colour_contrast(image, image.shape)
+    assert contrast[30, 39:41].min() == pytest.approx(4.0)
+    assert contrast[:, :20].max() < 1e-3
+    assert np.abs(contrast - colour_contrast(image // 2, image.shape)).max() < 0.6
 
 
 class Pan:
@@ -127,7 +162,7 @@ def test_in_one_kind_of_motion_they_cannot_be_told_apart(samples):
 
 def fitted(**changes):
     values = {"shift_px": (0.0, 0.0), "scale": 1.0, "mirror": "none", "shift_frames": 0, "score": 1.0}
-    values |= {"score_as_read": 1.0, "peak": 8.0, "edges": 500, "pixel": 1.0}
+    values |= {"score_as_read": 1.0, "peak": 8.0, "pixel": 1.0}
     return ColourFit(**(values | changes))
 
 

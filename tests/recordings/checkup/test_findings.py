@@ -1,15 +1,17 @@
-"""What files say before frames are made of them."""
+"""Single findings: what files say before frames are made of them; the brightness of the same points."""
 
 import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from gsfusion_nb.config import RepairConfig
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.recordings.checkup.file_checks import pose_matrices, time_stamps
+from gsfusion_nb.recordings.checkup.frames import OverFrames, exposure_finding
+from gsfusion_nb.recordings.checkup.stored_values import pose_matrices, time_stamps
 
 
 @pytest.fixture
@@ -73,3 +75,20 @@ def test_times(tmp_path, broken):
     assert "after 1 of 30 frames, first 4" in back.sentence
     names = [Path(f"{i if i < 20 else i + 3:06d}.jpg") for i in range(30)]
     assert "3 numbers are missing" in time_stamps(dataclasses.replace(sequence, rgb_files=names))[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("step", "spread", "verdict", "fit"),
+    [(0.02, 0.1, "ok", False), (0.1, 0.2, "ok", True), (0.1, 1.2, "doubtful", True), (0.4, 0.4, "doubtful", True)],
+)
+def test_fitting_exposures_is_advised_where_it_pays(step, spread, verdict, fit):
+    nan = np.full(3, np.nan)
+    same = np.zeros(3, bool)
+    over = OverFrames(
+        number=np.arange(3), error=nan, turned_deg=nan, moved_m=nan, gain_stops=np.array([0.0, -step, np.nan]),
+        sharpness=nan, missing=nan, same_colour=same, same_depth=same,
+    )  # fmt: skip
+    finding = exposure_finding(over, np.array([np.nan, spread, -0.05]))
+    assert finding.verdict == verdict
+    assert ("--optim.fit-exposure" in finding.sentence + finding.repair) == fit
+    assert finding.numbers == {"largest_step_stops": pytest.approx(step), "largest_difference_stops": spread}

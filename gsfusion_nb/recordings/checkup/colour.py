@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 
 from ...config import RepairConfig
 from ...types import Camera
-from .alignment import ColourFit
-from .colour_motion import ColourMotion
-from .findings import Finding
+from .edges import ColourFit, ColourMotion
+from .report import Finding
 
 SHIFT_LIMITS = ((3.0, 1.2), (5.0, 2.0))
 """Shifts from which a recording is doubtful and wrong, in 640ths of the image width, and in compared pixels (the larger
@@ -60,10 +59,7 @@ def registration_findings(evidence: ColourEvidence, camera: Camera) -> tuple[Rep
         return RepairConfig(), [_mixed_up({"in_order": order or 0.0})]
     if fit is None:
         text = "Cannot be known from these frames: too few depth edges to compare with colour."
-        return RepairConfig(), [
-            Finding(name="registration", verdict="unknown", sentence=text),
-            Finding(name="colour time", verdict="unknown", sentence=text),
-        ]
+        return RepairConfig(), [Finding(name, "unknown", text) for name in ("registration", "colour time")]
     numbers = {
         "shift_x_px": fit.shift_px[0],
         "shift_y_px": fit.shift_px[1],
@@ -72,52 +68,66 @@ def registration_findings(evidence: ColourEvidence, camera: Camera) -> tuple[Rep
         "contrast_as_read": fit.score_as_read,
         "peak": fit.peak,
     }
-    if mixed:
+    unrelated = fit.score < _UNRELATED_SCORE and fit.peak < _UNRELATED_PEAK and evidence.motion is None
+    if mixed or (unrelated and not belongs):
         return RepairConfig(), [_mixed_up(numbers)]
-    if fit.score < _UNRELATED_SCORE and fit.peak < _UNRELATED_PEAK and evidence.motion is None:
-        return RepairConfig(), [_not_registered(numbers) if belongs else _mixed_up(numbers)]
+    if unrelated:
+        return RepairConfig(), [_not_registered(numbers)]
     if fit.shift_frames:
         repair, time = _whole_frames(fit)
         return repair, [_placed(fit.peak >= _CLEAR_PEAK, fit.shift_px, numbers), time]
-    repair, space = _space_finding(evidence, camera, numbers)
+    repair, space = _space_finding(fit, evidence.motion, camera, numbers)
     if repair.rgb_mirror != "none" or repair.rgb_scale != 1:
         text = "Cannot be known before the colour image lies on the depth image: its edges move with their place in it."
-        return repair, [space, Finding(name="colour time", verdict="unknown", sentence=text)]
+        return repair, [space, Finding("colour time", "unknown", text)]
     return repair, [space, _part_of_a_frame(evidence, camera)]
+
+
+def _mixed_up(numbers: dict[str, float]) -> Finding:
+    repair = "pair every depth image with the colour image of its time (names, order, association)"
+    text = "The colour images do not belong to the depth images: their order or their edges do not fit."
+    return Finding("registration", "wrong", text, numbers | {OF_OTHER_FRAMES: 1.0}, repair)
+
+
+def _not_registered(numbers: dict[str, float]) -> Finding:
+    repair = "register colour to depth with the cameras' calibration, or record with the driver's alignment on"
+    text = (
+        "Colour is not registered to depth: both show the same motion, so they belong together, but no shift, scale or "
+        "mirroring brings their edges together. The images are those of two cameras."
+    )
+    return Finding("registration", "wrong", text, numbers, repair)
 
 
 def _placed(clear: bool, shift_px: tuple[float, float], numbers: dict[str, float]) -> Finding:
     """The finding where nothing is wrong, or nothing can be seen."""
     if not clear:
         text = "Cannot be known from these frames: the edges of colour and depth are too few or too similar to compare."
-        return Finding(name="registration", verdict="unknown", numbers=numbers, sentence=text)
+        return Finding("registration", "unknown", text, numbers)
     text = f"Colour edges lie on depth edges within {math.hypot(*shift_px):.1f} pixels."
-    return Finding(name="registration", verdict="ok", numbers=numbers, sentence=text)
+    return Finding("registration", "ok", text, numbers)
 
 
-def _space_finding(evidence: ColourEvidence, camera: Camera, numbers: dict[str, float]) -> tuple[RepairConfig, Finding]:
+def _space_finding(
+    fit: ColourFit, motion: ColourMotion | None, camera: Camera, numbers: dict[str, float]
+) -> tuple[RepairConfig, Finding]:
     """Is colour shifted, scaled or mirrored, whatever its time?"""
-    fit, motion = evidence.fit, evidence.motion
-    assert fit is not None
     doubtful, wrong_from = (max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS)
-    zoomed = abs(fit.scale - 1) > SCALE_DOUBTFUL
+    only_shifted = fit.mirror == "none" and abs(fit.scale - 1) <= SCALE_DOUBTFUL
     clear = fit.peak >= _CLEAR_PEAK
-    if motion is not None and fit.mirror == "none" and not zoomed and _lag_is_seen(motion, fit, camera):
+    if motion is not None and only_shifted and _lag_is_seen(motion, fit, camera):
         fit, clear = replace(fit, shift_px=motion.shift_px), True  # the time offset smears the peak of all frames
     shift = math.hypot(*fit.shift_px)
-    space = _placed(clear, fit.shift_px, numbers)
-    if not clear or (fit.mirror == "none" and shift < doubtful and not zoomed):
-        return RepairConfig(), space
-    if fit.mirror == "none" and not zoomed and _may_be_time(motion, fit, shift, camera):
+    if not clear or (only_shifted and shift < doubtful):
+        return RepairConfig(), _placed(clear, fit.shift_px, numbers)
+    if only_shifted and _may_be_time(motion, fit, shift, camera):
         text = (
             f"Cannot be known from these frames: colour edges lie {shift:.1f} pixels beside depth edges, but in so few "
             "kinds of motion a shift and a time offset look alike."
         )
-        return RepairConfig(), replace(space, verdict="unknown", sentence=text)
+        return RepairConfig(), Finding("registration", "unknown", text, numbers)
     repair, text = _registration_repair(fit, shift >= doubtful)
-    wrong = fit.mirror != "none" or shift >= wrong_from or zoomed
-    verdict = "wrong" if wrong else "doubtful"
-    return repair, replace(space, verdict=verdict, sentence=text, repair=repair.flags)
+    verdict = "wrong" if not only_shifted or shift >= wrong_from else "doubtful"
+    return repair, Finding("registration", verdict, text, numbers, repair.flags)
 
 
 def _may_be_time(motion: ColourMotion | None, fit: ColourFit, shift_px: float, camera: Camera) -> bool:
@@ -144,62 +154,36 @@ def _part_of_a_frame(evidence: ColourEvidence, camera: Camera) -> Finding:
         text = (
             "Colour and depth belong to the same frame; a smaller time offset cannot be known: too few kinds of motion."
         )
-        return Finding(name="colour time", verdict="unknown", numbers={"shift_frames": 0.0}, sentence=text)
+        return Finding("colour time", "unknown", text, {"shift_frames": 0.0})
+    lag, error = abs(motion.lag_frames), motion.lag_error_frames
     numbers = {
         "shift_frames": 0.0,
         "lag_frames": motion.lag_frames,
-        "lag_error_frames": motion.lag_error_frames,
+        "lag_error_frames": error,
         "speed_px": motion.speed_px,
     }
-    known = f"{abs(motion.lag_frames):.2f} ± {motion.lag_error_frames:.2f} frames"
     if not _lag_is_seen(motion, fit, camera):
-        error = abs(motion.lag_frames) + 2 * motion.lag_error_frames
-        text = f"Colour and depth were taken at the same time, within {error:.2f} frames."
-        return Finding(name="colour time", verdict="ok", numbers=numbers, sentence=text)
-    known += f" ({1000 * abs(motion.lag_frames) * step_s:.0f} ms)" if step_s else ""
-    side = "later" if motion.lag_frames > 0 else "earlier"
-    return Finding(
-        name="colour time",
-        verdict="doubtful",
-        numbers=numbers,
-        repair=(
-            "no option moves depth by a part of a frame; gsfusion-nb offset finds the number that gives poses the time "
-            "of the colour images; turn the camera more slowly when recording"
-        ),
-        sentence=(
-            f"Colour was taken {known} {side} than depth: over {motion.windows} windows its edges move against those "
-            f"of depth with the speed of the image, up to {abs(motion.lag_frames) * motion.speed_px:.1f} pixels."
-        ),
+        text = f"Colour and depth were taken at the same time, within {lag + 2 * error:.2f} frames."
+        return Finding("colour time", "ok", text, numbers)
+    known = f"{lag:.2f} ± {error:.2f} frames" + (f" ({1000 * lag * step_s:.0f} ms)" if step_s else "")
+    text = (
+        f"Colour was taken {known} {'later' if motion.lag_frames > 0 else 'earlier'} than depth: over {motion.windows} "
+        f"windows its edges move against those of depth with the speed of the image, up to {lag * motion.speed_px:.1f} "
+        "pixels."
     )
+    repair = (
+        "no option moves depth by a part of a frame; gsfusion-nb offset finds the number that gives poses the time of "
+        "the colour images; turn the camera more slowly when recording"
+    )
+    return Finding("colour time", "doubtful", text, numbers, repair)
 
 
 def _whole_frames(fit: ColourFit) -> tuple[RepairConfig, Finding]:
     """The colour image of another frame fits better."""
     repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
     side = "later" if fit.shift_frames > 0 else "earlier"
-    return repair, Finding(
-        name="colour time",
-        verdict="wrong",
-        numbers={"shift_frames": float(fit.shift_frames)},
-        repair=repair.flags,
-        sentence=f"A frame's depth image belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}.",
-    )
-
-
-def _mixed_up(numbers: dict[str, float]) -> Finding:
-    repair = "pair every depth image with the colour image of its time (names, order, association)"
-    text = "The colour images do not belong to the depth images: their order or their edges do not fit."
-    numbers = numbers | {OF_OTHER_FRAMES: 1.0}
-    return Finding(name="registration", verdict="wrong", numbers=numbers, repair=repair, sentence=text)
-
-
-def _not_registered(numbers: dict[str, float]) -> Finding:
-    repair = "register colour to depth with the cameras' calibration, or record with the driver's alignment on"
-    text = (
-        "Colour is not registered to depth: both show the same motion, so they belong together, but no shift, scale or "
-        "mirroring brings their edges together. The images are those of two cameras."
-    )
-    return Finding(name="registration", verdict="wrong", numbers=numbers, repair=repair, sentence=text)
+    text = f"A frame's depth image belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}."
+    return repair, Finding("colour time", "wrong", text, {"shift_frames": float(fit.shift_frames)}, repair.flags)
 
 
 def _registration_repair(fit: ColourFit, shifted: bool) -> tuple[RepairConfig, str]:
