@@ -1,17 +1,24 @@
-"""Reading Gaussians from any of the files in which programs exchange them; the kind is told by the first bytes."""
+"""Reading Gaussians from any of the files in which programs exchange them; the kind is told by the first bytes.
+
+A ``.splat`` file (of the web viewer antimatter15/splat) has none of its own: 32 bytes per Gaussian, three float32 for
+the centre, three for the standard deviations in units of the world, four bytes red, green, blue and opacity, four bytes
+for the rotation wxyz. Colours do not depend on the direction. The frame is that of the PLY file it was made from.
+"""
 
 import math
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import SequenceError
-from ..foreign import open_regular
+from ..foreign import open_regular, read_bytes
 from ..operands import FARTHEST
 from ..types import GaussianParams
-from .gaussian_ply import read_gaussian_ply
 from .map_glb import read_map_glb
+from .packed_values import MAX_BYTES, params_of, sh_of_rgb
+from .ply import check_ply_rows, read_gaussian_ply
 from .sog_file import read_sog
-from .splat_file import read_splat
 from .spz_file import read_spz
 
 WHAT = "a file of Gaussians (.ply, .glb, .splat, .spz or .sog)"
@@ -57,3 +64,34 @@ def _plausible(path: Path, gaussians: GaussianParams) -> GaussianParams:
                 f"it is damaged, or another kind; expected {WHAT}"
             )
     return gaussians
+
+
+_ROW = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+_LEAST_M = 1e-9
+
+
+def read_splat(path: str | Path) -> GaussianParams:
+    """Read a ``.splat`` file.
+
+    Raises:
+        FileNotFoundError: no such file. ValueError: its length is not a multiple of 32 bytes, or a number is NaN.
+    """
+    path = Path(path)
+    data = read_bytes(path, "a .splat file of Gaussians", at_most=MAX_BYTES)
+    if len(data) % _ROW.itemsize:
+        raise SequenceError(
+            f"{path} has {len(data)} bytes; a .splat file has a multiple of 32; truncated or another kind"
+        )
+    rows = np.frombuffer(data, _ROW)
+    check_ply_rows(path, "Gaussians", np.concatenate([rows["xyz"], rows["scale"]], axis=1), _NAMES)
+    if len(rows) and not bool((rows["scale"] >= 0).all()):
+        raise SequenceError(f"{path} has negative sizes; expected a .splat file of Gaussians")
+    rgba = rows["rgba"] / 255.0
+    quat = (rows["quat"].astype(np.float64) - 128.0) / 128.0
+    return params_of(
+        rows["xyz"].copy(), np.log(np.maximum(rows["scale"].astype(np.float64), _LEAST_M)), quat, rgba[:, 3],
+        sh_of_rgb(rgba[:, :3])[:, None],
+    )  # fmt: skip
+
+
+_NAMES = ("x", "y", "z", "scale x", "scale y", "scale z")

@@ -6,6 +6,8 @@ import torch
 from ..constants import SH_C0
 from ..types import GaussianParams
 
+MAX_BYTES = 2_000_000_000
+"""Of a file that is read at once: 60 million Gaussians."""
 LEAST_OPACITY = 1e-6
 """Opacities are kept this far from 0 and 1, where the logit is infinite."""
 

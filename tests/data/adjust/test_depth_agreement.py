@@ -11,7 +11,6 @@ from gsfusion_nb.data.adjust.depth_agreement import (
     depth_agreement,
     depth_consistency,
     depth_pair,
-    relative_poses,
     thinned,
 )
 from gsfusion_nb.data.readers import folder
@@ -101,9 +100,3 @@ def test_thinned_depth_keeps_its_rays(generator, step):
     assert (camera.height, camera.width) == tuple(small.shape)
     expected = depth_to_points(CAMERA, depth_m)[first::step, first::step]
     assert torch.allclose(depth_to_points(camera, small), expected, atol=1e-6)
-
-
-def test_relative_poses(generator):
-    T = se3.exp(torch.randn(2, 6, generator=generator, dtype=torch.float64))
-    relative = relative_poses(T[:1], T[1:])[0]
-    assert torch.allclose(T[1] @ relative, T[0])

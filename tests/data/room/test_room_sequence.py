@@ -1,7 +1,6 @@
 """The room as a sequence: interface, cache, noise, paths, coverage, mesh; the mistakes of a hand-held recording that it
 can be given, with the truth known."""
 
-import importlib
 from typing import Any
 
 import numpy as np
@@ -63,25 +62,6 @@ def test_cache_gives_the_same_frame_and_recovers_from_damage(monkeypatch, tmp_pa
     rgb, depth_m = render_room(sequence.camera, sequence.pose(4))
     assert (fresh.depth_m - depth_m).abs().max() < 0.6e-4  # steps of 0.1 mm
     assert (fresh.rgb - rgb).abs().max() < 0.51 / 255
-
-
-def test_cache_gives_the_same_mesh_and_recovers_from_damage(monkeypatch, tmp_path, generator):
-    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path))
-    module = importlib.import_module("gsfusion_nb.data.room.mesh")
-    xyz, rgb = (torch.rand(40, 3, generator=generator).numpy() for _ in range(2))
-    faces, made = np.arange(39, dtype=np.int32).reshape(-1, 3), []
-    monkeypatch.setattr(module, "_made", lambda *of: made.append(of) or {"xyz": xyz, "faces": faces, "rgb": rgb})
-    for resolution_m, damage, times in ((0.4, None, 1), (0.4, None, 1), (0.4, b"PK" + bytes(2000), 2), (0.3, None, 3)):
-        if damage is not None:
-            (path,) = (cache_folder() / "room").glob("mesh-*.npz")
-            path.write_bytes(damage)
-        mesh = room_mesh(resolution_m)
-        assert len(made) == times
-        assert np.array_equal(mesh.vertices_W, xyz)
-        assert np.array_equal(mesh.faces, faces)
-        assert np.array_equal(mesh.rgb, rgb)
-    room_mesh(0.4, cache=False)
-    assert len(made) == 4
 
 
 def test_unwritable_cache_is_no_error(monkeypatch, tmp_path):

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data.room import RoomSequence, render_room, room_sdf
+from gsfusion_nb.data.room import render_room, room_sdf
 from gsfusion_nb.data.room.camera import look_at
 from gsfusion_nb.data.room.drawings import text_poster
 from gsfusion_nb.data.room.interior import interior
-from gsfusion_nb.data.room.scene import load_scene
 from gsfusion_nb.data.room.solids import ball, box, cone, face_axes, plain
 from gsfusion_nb.geometry import depth_to_points, pixel_grid, project, rays, se3
 from gsfusion_nb.types import Camera
@@ -106,27 +105,10 @@ def test_text_is_not_mirrored():
     assert np.corrcoef(odd_seen.ravel(), odd_wanted.ravel())[0, 1] > 0.8
 
 
-def test_pose_is_checked():
-    with pytest.raises(ValueError, match="rigid"):
-        render_room(CAMERA, torch.diag(torch.tensor([2.0, 1, 1, 1])))
-
-
 def test_the_arrangement_repeats_by_seed():
     one, two, other = (interior(seed) for seed in (3, 3, 4))
     assert all(np.array_equal(a.t, b.t) and np.array_equal(a.extent, b.extent) for a, b in zip(one, two, strict=True))
     assert len(one) != len(other) or not all(np.array_equal(a.t, b.t) for a, b in zip(one, other, strict=True))
-
-
-@pytest.mark.slow
-def test_frames_repeat_by_seed():
-    frames = []
-    for seed in (1, 1, 2):
-        load_scene.cache_clear()
-        frames.append(RoomSequence(width=80, height=60, n_frames=5, cache=False, seed=seed)[2])
-    one, two, other = frames
-    assert torch.equal(one.rgb, two.rgb)
-    assert torch.equal(one.depth_m, two.depth_m)
-    assert not torch.equal(one.rgb, other.rgb)
 
 
 GREY = plain(0.5, 0.5, 0.5)

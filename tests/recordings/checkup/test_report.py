@@ -67,14 +67,6 @@ def test_the_command_writes_a_page_and_its_flags_are_accepted(broken, tmp_path, 
     assert "inconsistent" not in capsys.readouterr().out
 
 
-def test_mistakes_of_the_command(capsys, tmp_path):
-    assert main(["check", str(tmp_path / "nowhere")]) == 1
-    assert "is not a folder" in capsys.readouterr().err
-    (tmp_path / "scan").mkdir()
-    assert main(["check", str(tmp_path / "scan"), "--reader", "register"]) == 1
-    assert "register" in capsys.readouterr().err
-
-
 def test_pictures_of_a_repair_that_leaves_frames_out(broken):
     """Positions in the repaired recording are not those in the recording as read."""
     recording, _ = broken("small room", "path is interrupted")
