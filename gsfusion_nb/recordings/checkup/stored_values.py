@@ -18,11 +18,11 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...data.adjust.poses import raw_matrices
-from ..convert.depth_unit import USUAL, plausible_range
 from ...data.recorded.images import read_depth, read_rgb
 from ...data.recorded.poses import MAX_RIGIDITY_ERROR
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import BadFrameError, Sequence
+from ..convert.depth_unit import USUAL, plausible_range
 from .report import Finding
 from .sample import FrameFacts, Sample
 
