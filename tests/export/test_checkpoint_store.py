@@ -1,14 +1,10 @@
-import errno
 import hashlib
 import json
-from pathlib import Path
 
 import pytest
 import torch
 
-from gsfusion_nb import files
 from gsfusion_nb.export import CheckpointStore
-from gsfusion_nb.files import DiskFullError
 
 
 def state(seed: int = 0) -> dict:
@@ -117,34 +113,6 @@ def test_a_damaged_checkpoint_is_recognised_and_the_one_before_is_used(tmp_path,
         CheckpointStore(tmp_path).load()
     with pytest.raises(FileNotFoundError, match="holds no checkpoint"):
         CheckpointStore(tmp_path / "other").load()
-
-
-def test_a_full_disk_leaves_the_last_checkpoint(tmp_path, monkeypatch):
-    store = CheckpointStore(tmp_path)
-    store.save(state(0))
-
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    for name in ("pieces", "json"):
-        flush = files._flush
-
-        def flush_most(file: Path, name=name, flush=flush):
-            return full() if file.suffix == f".{name}" else flush(file)
-
-        monkeypatch.setattr(files, "_flush", flush_most)
-        with pytest.raises(
-            DiskFullError, match=rf"000002\.{name} cannot be written: the disk is full; it needs at least"
-        ):
-            store.save(state(1))
-        monkeypatch.undo()
-        assert same(CheckpointStore(tmp_path).load().state, state(0))
-    monkeypatch.setattr(files, "free_space", lambda folder: 1000)
-    with pytest.raises(DiskFullError, match=r"needs at least 0\.6 MB, 0\.0 MB are free"):
-        store.save(state(1))
-    monkeypatch.undo()
-    assert store.save(state(1)).number == 2
-    assert same(store.load().state, state(1))
 
 
 def test_what_cannot_be_saved_is_named(tmp_path):

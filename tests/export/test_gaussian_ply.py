@@ -53,17 +53,6 @@ def test_bytes_of_one_gaussian_by_hand(tmp_path):
     assert row.tolist() == [1, 2, 3, 0, 0, 0, 0, 1, 2, *red, *green, *blue, 11, 4, 5, 6, 7, 8, 9, 10]
 
 
-def test_plyfile_sees_the_columns(tmp_path, generator):
-    g = gaussians(5, 3, generator)
-    write_gaussian_ply(tmp_path / "g.ply", g)
-    vertex = plyfile.PlyData.read(str(tmp_path / "g.ply"))["vertex"]
-    assert vertex.count == 5
-    assert [p.name for p in vertex.properties] == NAMES
-    assert np.array_equal(vertex["z"], g.xyz_W[:, 2].numpy())
-    assert np.array_equal(vertex["f_rest_15"], g.sh[:, 1, 1].numpy())  # first green coefficient
-    assert np.array_equal(vertex["rot_0"], g.quat[:, 0].numpy())
-
-
 @pytest.mark.parametrize("n", [0, 1, 9])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_round_trip_pads_to_degree_3(tmp_path, generator, n, degree):
@@ -122,20 +111,3 @@ def test_wrong_number_of_coefficients(tmp_path, generator):
     with pytest.raises(ValueError, match="1, 4, 9 or 16 coefficients"):
         write_gaussian_ply(tmp_path / "g.ply", wrong)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_failure_while_writing_keeps_the_old_file(tmp_path, generator, monkeypatch):
-    path = tmp_path / "g.ply"
-    write_gaussian_ply(path, gaussians(3, 0, generator))
-    before = path.read_bytes()
-
-    def half(self, stream):
-        with open(stream, "wb") as file:
-            file.write(b"ply\n")
-        raise OSError("disk full")
-
-    monkeypatch.setattr(plyfile.PlyData, "write", half)
-    with pytest.raises(OSError, match="disk full"):
-        write_gaussian_ply(path, gaussians(9, 0, generator))
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]

@@ -40,14 +40,6 @@ def test_ply_bytes_literally(tmp_path):
     assert body[-13:] == struct.pack("<B3i", 3, 1, 2, 3)
 
 
-def test_plyfile_reads_it(tmp_path):
-    mesh = tetrahedron()
-    write_mesh_ply(tmp_path / "m.ply", mesh)
-    ply = plyfile.PlyData.read(str(tmp_path / "m.ply"))
-    assert [list(f) for f in ply["face"]["vertex_indices"]] == mesh.faces.tolist()
-    assert ply["vertex"]["blue"].tolist() == [0, 0, 0, 255]
-
-
 @pytest.mark.parametrize("mesh", [tetrahedron(), empty()], ids=["tetrahedron", "empty"])
 def test_ply_round_trip(tmp_path, mesh):
     write_mesh_ply(tmp_path / "m.ply", mesh)
@@ -168,8 +160,3 @@ def test_glb_of_nothing_is_an_empty_scene(tmp_path):
     assert document["scenes"] == [{}]
     assert "meshes" not in document
     assert chunk == b""
-
-
-def test_glb_unknown_axis(tmp_path):
-    with pytest.raises(Exception, match="up"):
-        write_mesh_glb(tmp_path / "m.glb", tetrahedron(), up="x")  # pyright: ignore[reportArgumentType]

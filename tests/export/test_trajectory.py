@@ -58,8 +58,3 @@ def test_reading_nonsense_names_the_line(tmp_path, line, message):
     (tmp_path / "t.txt").write_text("# comment\n\n0 0 0 0 0 0 0 1\n" + line + "\n")
     with pytest.raises(ValueError, match=rf"t\.txt line 4 must .*{message}"):
         read_trajectory_tum(tmp_path / "t.txt")
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"t\.txt does not exist"):
-        read_trajectory_tum(tmp_path / "t.txt")
