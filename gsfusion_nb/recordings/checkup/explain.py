@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import RepairConfig
-from ...config.repair import AXES, NAMED_AXES
+from ...config.parts import AXES, NAMED_AXES
 from ...data.adjust.depth_agreement import depth_consistency, depth_pair, relative_under
 from ...data.adjust.poses import axis_matrix
 from ...types import Camera
