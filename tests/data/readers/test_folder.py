@@ -33,17 +33,6 @@ def test_reads_what_was_written(tmp_path, box):
         assert box.off_wall_m(frame) < 0.0005
 
 
-def test_indices_like_a_list(tmp_path, box):
-    seq = folder(box.folder(tmp_path))
-    assert seq[-1].index == 3
-    assert len(list(seq)) == 4
-    for i in (4, -5):
-        with pytest.raises(IndexError, match="of a sequence of 4"):
-            seq[i]
-        with pytest.raises(IndexError):
-            seq.pose(i)
-
-
 def test_pixel_centre_key(tmp_path, box):
     edge = folder(box.folder(tmp_path / "a", pixel_centre=0.5, cx=31.3, cy=24.9))
     integer = folder(box.folder(tmp_path / "b", pixel_centre=0.0))

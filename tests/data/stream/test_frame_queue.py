@@ -200,21 +200,6 @@ def test_an_exception_of_the_source_is_raised_after_its_frames(sequence):
     assert frames_of(frames) == []
 
 
-def test_a_generator_is_closed_on_its_own_thread(sequence):
-    ended = []
-
-    def source() -> Iterator[Frame]:
-        try:
-            while True:
-                yield sequence[0]
-        finally:
-            ended.append(threading.current_thread().name)
-
-    with BackgroundFrames(source(), size=1) as frames:
-        next(frames)
-    assert ended == ["frames"]
-
-
 class Silent(LiveSource):
     """A camera that gives one frame and then waits until it is stopped."""
 

@@ -152,14 +152,6 @@ def test_depth_that_never_comes_is_named_and_the_poses_stay_with_their_frames(wr
     torch.testing.assert_close(found[2].T_WC, folder(recorded)[2].T_WC)
 
 
-def test_a_frame_that_stays_truncated_is_named(writer):
-    writer.then(writer.camera(), *writer.whole(0), writer.rgb(1), writer.depth(1, 0.5), writer.pose(1))
-    writer.then(*writer.whole(2)).then(*writer.whole(3))
-    found = everything(follow(writer))
-    assert indices(found) == [0, "bad", 2, 3]
-    assert "depth/000001.png is truncated" in found[1]
-
-
 def test_a_damaged_image_and_a_bad_pose_line_are_named(writer):
     writer.then(writer.camera(), *writer.whole(0), writer.rgb(1), writer.depth(1))
 
@@ -215,13 +207,6 @@ def test_images_that_do_not_begin_at_0_need_to_say_whose_the_first_line_is(write
     check_poses(everything(follow(writer)), folder(recorded), {0: 1, 1: 2})
 
 
-def test_an_incomplete_first_image_does_not_shift_the_poses(writer, recorded):
-    writer.then(writer.camera(), writer.rgb(0), writer.pose(0), *writer.whole(1), *writer.whole(2))
-    found = everything(follow(writer))
-    assert "depth has no image 000000" in found[0]
-    check_poses(found, folder(recorded), {1: 1, 2: 2})
-
-
 def test_two_images_of_one_number_are_named(writer):
     writer.then(writer.camera(), *writer.whole(0), *writer.whole(1))
     for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
@@ -236,14 +221,6 @@ def test_the_stop_file_ends_it_after_the_frames_that_are_there(writer):
     source = follow(writer)
     assert indices(everything(source)) == [0, 1]  # the last line has no end, but nothing will be added
     assert writer.waits == 1
-
-
-def test_stop_ends_it_at_once(writer):
-    writer.then(writer.camera(), *writer.whole(0), *writer.whole(1))
-    source = follow(writer)
-    next(source)
-    source.stop()
-    assert everything(source) == []
 
 
 def test_without_poses_the_camera_is_to_be_tracked(writer):

@@ -137,21 +137,6 @@ def test_lzfse_that_holds_more_than_is_expected_is_refused():
             lzfse_unpacked(data, "x", at_most)
 
 
-def test_exr_export(tmp_path, takes):
-    OpenEXR = pytest.importorskip("OpenEXR")
-    for name, data in members(takes).items():
-        target = "metadata.json" if name == "metadata" else name.replace("rgbd/", "rgb/")
-        if not target.endswith((".depth", ".conf")):
-            takes.write(tmp_path / "scan" / target, data)
-    (tmp_path / "scan/depth").mkdir()
-    for i in range(4):
-        channels = {"R": OpenEXR.Channel(takes.depth_m[i].astype(np.float32))}
-        OpenEXR.File({}, channels).write(str(tmp_path / f"scan/depth/{i}.exr"))
-    assert detect_format(tmp_path / "scan") == "record3d"
-    convert(tmp_path / "scan", tmp_path / "out")
-    check(tmp_path / "out", takes, [])
-
-
 def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     path = write_r3d(tmp_path / "a.r3d", members(takes))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])

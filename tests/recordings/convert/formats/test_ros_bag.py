@@ -274,12 +274,10 @@ def test_several_topics_have_to_be_named(tmp_path, takes):
             for name in ("a", "b"):
                 bag.image(f"/{name}/image", t, "camera_optical", "rgb8", takes.rgb[i])
             bag.image("/depth/image", t, "camera_optical", "16UC1", takes.depth_raw(i))
-    with pytest.raises(
-        SequenceError, match=r"must have one colour image topic, found: /a/image, /b/image; .*--ros\.colour-topic"
-    ):
-        convert(tmp_path / "scan.bag", tmp_path / "out")
-    with pytest.raises(SequenceError, match=r"has no colour image topic '/c'; it has /a/image, /b/image, /depth/image"):
-        convert(tmp_path / "scan.bag", tmp_path / "out", options=ConvertOptions(ros=RosOptions(colour_topic="/c")))
+    for topic in ("", "/c"):
+        options = ConvertOptions(ros=RosOptions(colour_topic=topic))
+        with pytest.raises(SequenceError, match="/a/image, /b/image"):
+            convert(tmp_path / "scan.bag", tmp_path / "out", options=options)
     options = ConvertOptions(ros=RosOptions(colour_topic="/a/image"))
     convert(tmp_path / "scan.bag", tmp_path / "out", options=options)
     takes.check(tmp_path / "out", pose=2e-6)

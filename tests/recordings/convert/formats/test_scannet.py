@@ -112,22 +112,20 @@ def test_depth_camera_beside_the_colour_camera(tmp_path, takes, box):
 
 
 @pytest.mark.parametrize(
-    ("damage", "pattern"),
+    ("damage", "named"),
     [
-        (lambda b: b[:5], r"is truncated: it ends .* bytes too early"),
-        (lambda b: b[:200], r"is truncated: it ends .* bytes too early"),
-        (lambda b: b"PK\x03\x04" + b[4:], r"begins with version 67324752; expected a ScanNet \.sens file of version 4"),
-        (
-            lambda b: b[:276] + struct.pack("<ii", 0, 2) + b[284:],
-            r"packs colour as raw and depth as occi_ushort; expected",
-        ),
+        (lambda b: b[:200], "truncated"),
+        (lambda b: b[: len(b) // 2], "truncated"),
+        (lambda b: b"PK\x03\x04" + b[4:], "version 67324752"),
+        (lambda b: b[:276] + struct.pack("<ii", 0, 2) + b[284:], "occi_ushort"),
     ],
 )
-def test_damaged_header(tmp_path, takes, damage, pattern):
+def test_damaged_containers(tmp_path, takes, damage, named):
     path = write_sens(tmp_path / "a.sens", takes)
     path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(SequenceError, match=r"a\.sens " + pattern):
+    with pytest.raises(SequenceError, match=rf"a\.sens .*{named}"):
         convert(path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_missing_image_does_not_shift_the_times_of_later_ones(tmp_path, takes):

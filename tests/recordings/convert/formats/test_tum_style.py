@@ -54,15 +54,6 @@ def test_without_poses_or_intrinsics_says_what_to_give(tmp_path, takes):
     assert not (tmp_path / ".out.partial").exists()
 
 
-def test_no_poses_on_purpose(tmp_path, takes):
-    from gsfusion_nb.data.readers import folder
-
-    root = write_tum(tmp_path / "scan", takes)
-    report = convert(root, tmp_path / "out", options=ConvertOptions(poses="none"))
-    assert str(report).endswith(f"Next: gsfusion-nb check {tmp_path / 'out'} --reader poses=false")
-    assert not folder(tmp_path / "out", poses=False).has_poses
-
-
 def untimed(root, takes, line, *, names=("rgb{}", "depth{}")):
     """Images named ``names``, and an association file of ``line(i, colour, depth)`` if there is one."""
     lines = []
