@@ -152,8 +152,7 @@ def live(arguments: list[str]) -> "FinishedRun":
     check_name("live source", name, SOURCES)
     options: LiveOptions = parse(SOURCES[name], f"gsfusion-nb live {name}", arguments[1:])
     from ..mapping import make_mapper
-    from ..runs import CheckpointEvery
-    from ..runs import map_sequence as map_stream
+    from ..runs import CheckpointEvery, map_stream
 
     with use_backend(options.backend):
         options.check_device()

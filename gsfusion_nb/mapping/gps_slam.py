@@ -12,8 +12,7 @@ from ..config import GPS_SLAM_DIFFERS, GpsSlamConfig, gps_slam, gps_slam_fidelit
 from ..export.tsdf_file import as_stored, write_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import se3
-from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp, l2_mse_vjp
-from ..optim import fit_view as fit_pose_by_flow
+from ..optim import Keyframe, adam_step, dssim_vjp, fit_pose_by_flow, l1_mse_vjp, l2_mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext
 from ..tracking import Correction

@@ -22,8 +22,7 @@ from ..config import SystemConfig, from_dict, to_dict
 from ..errors import shown
 from ..gaussians import GaussianModel
 from ..operands import FAR_DEPTH_M
-from ..optim import KeyframeList, UpdateFunction
-from ..optim import fit_view as fit_pose
+from ..optim import KeyframeList, UpdateFunction, fit_pose
 from ..render import render
 from ..seeding import (
     Cells,

@@ -16,8 +16,7 @@ from ..config.values import NOT_FOR_RULES, nested, with_own_settings
 from ..errors import SequenceError, shown
 from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
-from ..render import Footprints
-from ..render import on_screen as footprints
+from ..render import Footprints, footprints
 from ..seeding import (
     EVERY_FRAME,
     ChangedInputError,

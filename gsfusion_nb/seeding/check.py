@@ -19,8 +19,7 @@ from ..config import SeedingConfig, TsdfConfig
 from ..errors import shown
 from ..gaussians import Edit, GaussianModel
 from ..geometry import depth_to_normals, pixel_grid, rays, se3
-from ..render import on_screen as footprints
-from ..render import render
+from ..render import footprints, render
 from ..tsdf import RaycastOutput, TsdfVolume, integrate
 from ..types import Camera, Frame, GaussianParams, Seeds
 from .apply import ChangedInputError, apply_rule, check_memory, context_tensors, copy_memory, equal_memories

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from gsfusion_nb.render import on_screen as footprints
+from gsfusion_nb.render import footprints
 
 from ..rasterize.cases import break_rows
 from ..runtime.cases import Case, make_frame, make_params

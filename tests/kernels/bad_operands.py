@@ -23,13 +23,13 @@ from gsfusion_nb.render import (
     Base,
     disc_depth,
     disc_depth_vjp,
+    footprints,
     project_gaussians,
     render_forward,
     render_over_base,
     render_over_base_vjp,
     render_vjp,
 )
-from gsfusion_nb.render import on_screen as footprints
 from gsfusion_nb.render.composite import composite, composite_vjp
 from gsfusion_nb.render.tiles import tile_intersections
 from gsfusion_nb.seeding import quadtree

@@ -11,7 +11,7 @@ import torch
 from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data.room import room
 from gsfusion_nb.mapping import FrameUndone, make_mapper
-from gsfusion_nb.render import on_screen as footprints
+from gsfusion_nb.render import footprints
 from gsfusion_nb.seeding import (
     Edit,
     MapRule,

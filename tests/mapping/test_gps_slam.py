@@ -15,8 +15,7 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper
 from gsfusion_nb.mapping.gps_views import LOOK_STEPS, SEEDING_STEPS, BasedView, ViewRound, small
-from gsfusion_nb.optim import Keyframe
-from gsfusion_nb.optim import fit_view as fit_pose_by_flow
+from gsfusion_nb.optim import Keyframe, fit_pose_by_flow
 from gsfusion_nb.render import base_view
 from gsfusion_nb.render.over_base import fill
 from gsfusion_nb.runs import MappingRun

@@ -7,8 +7,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.render import on_screen as footprints
-from gsfusion_nb.render import project_gaussians, render, rows_in_view, tile_intersections
+from gsfusion_nb.render import footprints, project_gaussians, render, rows_in_view, tile_intersections
 from gsfusion_nb.types import Camera, GaussianParams
 
 CAMERA = Camera(width=40, height=30, fx=100.0, fy=100.0, cx=20.0, cy=15.0)

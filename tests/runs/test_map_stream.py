@@ -15,8 +15,7 @@ from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
 from gsfusion_nb.data.stream import LiveSource
 from gsfusion_nb.export import read_gaussian_ply, read_trajectory_tum
 from gsfusion_nb.mapping import GSFusion, make_mapper
-from gsfusion_nb.runs import MappingRun, StreamRun, mapping_run, run_mapping
-from gsfusion_nb.runs import map_sequence as map_stream
+from gsfusion_nb.runs import MappingRun, StreamRun, map_stream, mapping_run, run_mapping
 from gsfusion_nb.runs.stream_run import KeptFrames
 from gsfusion_nb.types import Frame
 
