@@ -14,13 +14,11 @@ from gsfusion_nb.config import (
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper
-from gsfusion_nb.mapping.gps_views import LOOK_STEPS, SEEDING_STEPS, BasedView, ViewRound, small
+from gsfusion_nb.mapping.gps_views import BasedView, ViewRound
 from gsfusion_nb.optim import Keyframe, fit_pose_by_flow
 from gsfusion_nb.render import base_view
-from gsfusion_nb.render.over_base import fill
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.runs.outputs import score
-from gsfusion_nb.types import Camera
 
 ROOM: dict[str, Any] = {"path_or_name": "room", "n_frames": 240, "width": 64, "height": 48}
 SMALL: dict[str, Any] = {"data__width": 0, "data__height": 0, "tsdf__voxel_size_m": 0.04, "final__passes": 1}
@@ -58,16 +56,6 @@ def test_a_round_has_its_steps_however_they_are_spread():
         burst = ViewRound(ScheduleConfig(every_frames=every, iterations=steps, spread=False))
         assert [burst.steps_in(n) for n in range(2 * every + 1)].count(steps) == (2 if every > 1 else 2 * every)
         assert burst.steps_in(0) == 0
-
-
-def test_frames_with_other_work_take_fewer_steps():
-    config = ScheduleConfig(every_frames=10, window_every=5, iterations=20, recalled=4)
-    views = ViewRound(config)
-    looks = [(n % 5 == 0) + views.recalls_in(n) for n in range(10)]
-    work = [views.steps_in(n) + LOOK_STEPS * looks[n] + SEEDING_STEPS * (n == 0) for n in range(10)]
-    assert sum(looks) == 6
-    assert max(work) - min(work) <= LOOK_STEPS
-    assert max(work) < 4.5  # 20 steps, 6 looks and the seeding in one frame would be 31
 
 
 def test_new_keyframes_are_looked_at_first_and_the_oldest_look_makes_room(run):
@@ -143,24 +131,6 @@ def test_holes_are_filled_black_or_without_weight():
     assert views["gaussians"].base.weight[~hole].all()
     nothing = base_view(torch.zeros(8, 12, 3), torch.zeros(8, 12), (8, 12), "filled", 0.1)
     assert not nothing.base.rgb.any()
-
-
-def test_filling_continues_a_ramp_and_keeps_what_is_known(generator):
-    known = torch.rand(21, 34, generator=generator) > 0.4
-    ramp = torch.linspace(0, 1, 34).expand(21, 34)[..., None]
-    filled = fill(ramp, known)
-    assert torch.equal(filled[known], ramp[known])
-    assert float((filled - ramp).abs().max()) < 0.15
-
-
-def test_rays_of_the_small_picture_lie_between_those_of_the_large_one():
-    camera = Camera(width=33, height=24, fx=30.0, fy=31.0, cx=16.2, cy=12.4)
-    half = small(camera, BaseConfig())
-    assert (half.width, half.height) == (17, 12)
-    for name, f, c, i in (("x", half.fx, half.cx, 5), ("y", half.fy, half.cy, 7)):
-        F, C = (camera.fx, camera.cx) if name == "x" else (camera.fy, camera.cy)
-        assert (i + 0.5 - c) / f == pytest.approx((2 * i + 1 - C) / F)
-    assert small(camera, BaseConfig(resolution="full")) is camera
 
 
 def test_a_disturbed_pose_is_found_again_though_the_surface_has_no_gradient(run):

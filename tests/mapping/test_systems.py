@@ -79,15 +79,3 @@ def test_after_a_jump_the_frames_that_go_on_are_mapped_also_after_a_pause(view):
     for index in (2, 3):
         mapper.step(placed(view, index, 0.0))
     assert mapper.localiser.frame_indices == [0, 2, 3]
-
-
-@pytest.mark.parametrize(("seconds", "right_m", "jumps"), [(0.1, 1.9, False), (0.1, 2.1, True), (1.0, 19.0, False)])
-def test_a_jump_is_measured_in_frames_and_in_seconds(view, seconds, right_m, jumps):
-    mapper = small("gsfusion")
-    mapper.step(placed(view, 0, 0.0))
-    later = dataclasses.replace(placed(view, 1, right_m), timestamp_s=seconds)
-    if jumps:
-        with pytest.raises(BadFrameError, match="frame 1"):
-            mapper.step(later)
-    else:
-        mapper.step(later)

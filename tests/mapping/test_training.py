@@ -1,5 +1,8 @@
-"""A loss and an optimiser that are given to a mapper from outside, in all three systems."""
+"""Loss, optimiser, passes and fits of poses and exposures."""
 
+import copy
+import dataclasses
+import itertools
 from typing import Any
 
 import pytest
@@ -7,8 +10,11 @@ import torch
 
 from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data import open_sequence
+from gsfusion_nb.data.room import room
 from gsfusion_nb.errors import SequenceError
-from gsfusion_nb.mapping import get_system, make_mapper
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.mapping import GSFusion, get_system, make_mapper
+from gsfusion_nb.mapping.training import KeyframePasses
 from gsfusion_nb.optim import ViewLoss, l1_mse_vjp
 from gsfusion_nb.optim.adam import BETA1, BETA2, EPS, adam_update
 from gsfusion_nb.runs import resume_mapping, run_mapping
@@ -80,30 +86,6 @@ def test_every_system_optimises_with_what_is_given(name, given):
     else:
         before, own_loss = usual.training.names, own.training.names
         assert (before, list(own_loss)) == ({}, list(given))
-
-
-def test_a_depth_loss_reaches_the_gaussians_and_keyframes_keep_their_depth():
-    """The own L1 with a depth term by hand is the setting ``optim.depth_weight``, bit for bit."""
-    from gsfusion_nb.optim import depth_l1, depth_l1_vjp
-
-    def with_depth(rendered, view):
-        own = own_l1(rendered, view)
-        value = own.value + 0.3 * depth_l1(rendered.depth_m, view.depth_m)
-        return ViewLoss(value=value, v_rgb=own.v_rgb, v_depth_m=depth_l1_vjp(rendered.depth_m, view.depth_m, 0.3))
-
-    config = replace(
-        SYSTEMS["gsfusion"], optim__online_ssim_weight=0.0, optim__depth_weight=0.3, optim__ssim_weight=0.0
-    )
-    config = replace(config, keyframe_every=2)
-    mappers = [make_mapper(config), make_mapper(replace(config, optim__depth_weight=0.0), loss=with_depth)]
-    for frame in open_sequence("room", data=config.data).mapping:
-        for mapper in mappers:
-            mapper.step(frame)
-    for mapper in mappers:
-        assert len(list(mapper.global_optimise(1))) == len(mapper.keyframes) > 1
-    assert equal(*mappers)
-    with pytest.raises(ValueError, match="v_depth_m"):
-        mapped("gps_slam", loss=with_depth)
 
 
 def not_in_place(param, gradient, m, v, steps, *, lr):
@@ -191,3 +173,177 @@ def test_an_interrupted_run_goes_on_to_the_same_map(tmp_path):
         resume_mapping(tmp_path / "cut", evaluate=False)
     resumed = resume_mapping(tmp_path / "cut", evaluate=False, loss=charbonnier)
     assert equal(whole.mapper, resumed.mapper)
+
+
+def visits(passes: KeyframePasses, n: int, keyframes: int, generator, limit: int | None = None) -> list[int]:
+    seen: list[int] = []
+
+    def optimise(i: int) -> torch.Tensor:
+        seen.append(i)
+        return torch.tensor(float(i))
+
+    for _ in itertools.islice(passes.run(n, keyframes, generator, optimise), limit):
+        pass
+    return seen
+
+
+def test_each_pass_visits_all_once_in_a_new_order(generator):
+    passes = KeyframePasses()
+    assert not passes.begun
+    seen = visits(passes, 3, 10, generator)
+    parts = [seen[k : k + 10] for k in (0, 10, 20)]
+    assert [sorted(p) for p in parts] == [list(range(10))] * 3
+    assert parts[0] != parts[1]
+    assert (passes.done, passes.queue, passes.begun) == (3, [], True)
+
+
+@pytest.mark.parametrize("stop", [1, 4, 5, 7])
+def test_going_on_after_a_stop_is_the_same_as_no_stop(stop):
+    whole = visits(KeyframePasses(), 2, 5, torch.Generator().manual_seed(3))
+    generator, passes = torch.Generator().manual_seed(3), KeyframePasses()
+    first = visits(passes, 2, 5, generator, stop)
+    state = passes.state_dict()
+    visits(passes, 1, 5, torch.Generator())  # what was saved stays as it was
+    resumed = KeyframePasses()
+    resumed.load_state_dict(state, n_keyframes=5)
+    assert resumed.begun
+    left = 2 - resumed.done
+    assert first + visits(resumed, left, 5, generator) == whole
+
+
+def mapped_exposures(frames, **optim):
+    config = gsfusion(
+        "replica", tsdf__voxel_size_m=0.04, seeding__quadtree_threshold=0.03, seeding__quadtree_contrast="std",
+        keyframe_every=1, optim__global_iterations=5, **{f"optim__{name}": value for name, value in optim.items()},
+    )  # fmt: skip
+    mapper = GSFusion(config)
+    for frame in frames:
+        mapper.step(frame)
+    return mapper
+
+
+@pytest.fixture(scope="module")
+def flicker():
+    """Eight frames close together; every second one is darker, most of all in blue."""
+    sequence = room(n_frames=480, width=80, height=60)
+    dark = torch.tensor([0.85, 0.8, 0.75])
+    frames = [sequence[i] for i in range(8)]
+    return dark, [dataclasses.replace(f, rgb=f.rgb * dark) if f.index % 2 else f for f in frames]
+
+
+def test_relative_exposures_are_found_and_their_mean_is_one(flicker):
+    dark, frames = flicker
+    mapper = mapped_exposures(frames, fit_exposure=True)
+    for _ in mapper.global_optimise():
+        pass
+    gains = torch.stack([k.gain for k in mapper.keyframes if k.gain is not None])
+    torch.testing.assert_close(gains.log().mean(0), torch.zeros(3), atol=1e-6, rtol=0)
+    found = gains[1::2].log().mean(0) - gains[::2].log().mean(0)
+    torch.testing.assert_close(found.exp(), dark, atol=0.03, rtol=0)
+
+
+def test_a_resumed_run_goes_on_bit_for_bit_and_without_the_setting_nothing_is_fitted(flicker, same):
+    _, frames = flicker
+    whole = mapped_exposures(frames[:4], fit_exposure=True, refine_poses=True)
+    passes = whole.global_optimise()
+    for _ in range(6):
+        next(passes)
+    again = GSFusion.from_state_dict(copy.deepcopy(whole.state_dict()))
+    for mapper in (whole, again):
+        for _ in mapper.global_optimise(1):
+            pass
+    same(whole.state_dict(), again.state_dict())
+    plain = mapped_exposures(frames[:2])
+    next(plain.global_optimise())
+    assert [k.gain for k in plain.keyframes] == [None, None]
+
+
+SMALL: dict[str, Any] = {
+    "tsdf__voxel_size_m": 0.04,
+    "seeding__quadtree_threshold": 0.03,
+    "seeding__quadtree_contrast": "std",
+    "keyframe_every": 1,
+    "optim__global_iterations": 4,
+}
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """Frames with poses that are off by 1 cm and 0.6 degrees about each axis, and the true poses."""
+    sequence, generator = room(n_frames=240, width=80, height=60), torch.Generator().manual_seed(0)
+    off = [se3.exp(0.01 * torch.randn(6, generator=generator)) for _ in range(12)]
+    frames = [dataclasses.replace(sequence[i], T_WC=sequence.pose(i) @ off[i]) for i in range(12)]
+    return [sequence.pose(i) for i in range(12)], frames
+
+
+def mapped_poses(frames, refine, **settings):
+    mapper = GSFusion(gsfusion("replica", optim__refine_poses=refine, **SMALL | settings))
+    for frame in frames:
+        mapper.step(frame)
+    return mapper
+
+
+def error(true, poses):
+    """Mean error of the rotations, degrees; the map as a whole may be turned."""
+    pairs = zip(true, poses, strict=True)
+    omega = torch.stack([se3.log(b.double() @ se3.inverse(a.double()))[3:] for a, b in pairs])
+    return float((omega - omega.mean(0)).norm(dim=1).mean().rad2deg())
+
+
+def test_poses_come_closer_to_the_truth_and_the_given_ones_remain(walk):
+    true, frames = walk
+    mapper = mapped_poses(frames, True)
+    for _ in mapper.global_optimise():
+        pass
+    given = [frame.T_WC for frame in frames]
+    assert all(torch.equal(a, b) for a, b in zip(mapper.localiser.given, given, strict=True))
+    assert error(true, mapper.localiser.poses) < 0.9 * error(true, given)
+    for keyframe in mapper.keyframes:
+        row = mapper.localiser.frame_indices.index(keyframe.index)
+        assert torch.equal(keyframe.T_WC, mapper.localiser.poses[row])
+
+
+def test_a_resumed_run_has_the_same_poses_bit_for_bit(walk, same):
+    _, frames = walk
+    whole = mapped_poses(frames[:7], True)
+    part = GSFusion.from_state_dict(copy.deepcopy(whole.state_dict()))
+    for mapper in (whole, part):
+        mapper.step(frames[7])
+        passes = mapper.global_optimise()
+        for _ in range(10):  # more than one pass over the 8 keyframes
+            next(passes)
+    again = GSFusion.from_state_dict(copy.deepcopy(part.state_dict()))
+    for mapper in (whole, again):
+        for _ in mapper.global_optimise(1):
+            pass
+    same(whole.state_dict(), again.state_dict())
+
+
+def test_the_mean_motion_is_taken_back_from_map_and_keyframes(walk):
+    _, frames = walk
+    mapper = mapped_poses(frames[:4], True)
+    G = se3.exp(torch.tensor([0.01, -0.02, 0.005, 0.01, 0.0, -0.01]))
+    xyz_W = mapper.gaussians.params.xyz_W.clone()
+    mapper.gaussians.move(G.expand(len(xyz_W), 4, 4))
+    mapper.keyframes.move(G.expand(len(mapper.keyframes), 4, 4))
+    for k in mapper.keyframes:
+        mapper.localiser.refine(k.index, k.T_WC)
+    mapper.fits.end_pass(mapper.keyframes, mapper.gaussians)
+    torch.testing.assert_close(mapper.gaussians.params.xyz_W, xyz_W, atol=1e-5, rtol=0)
+    for k in mapper.keyframes:
+        torch.testing.assert_close(k.T_WC, frames[k.index].T_WC, atol=1e-5, rtol=0)
+
+
+def test_frames_between_keyframes_follow_them(walk):
+    _, frames = walk
+    mapper = mapped_poses(frames[:5], True, keyframe_every=4)
+    for _ in mapper.global_optimise(1):
+        pass
+    localiser, given = mapper.localiser, [frame.T_WC for frame in frames]
+    xi = [se3.log(se3.inverse(a.double()) @ b.double()) for a, b in zip(given, localiser.poses, strict=False)]
+    assert [k.index for k in mapper.keyframes] == [0, 4]
+    assert xi[4].norm() > 1e-4
+    torch.testing.assert_close(xi[1], 0.75 * xi[0] + 0.25 * xi[4], atol=1e-6, rtol=0)
+    torch.testing.assert_close(localiser.refined(1, given[1]), localiser.poses[1])
+    beyond = se3.log(se3.inverse(given[7].double()) @ localiser.refined(7, given[7]).double())
+    torch.testing.assert_close(beyond, xi[4], atol=1e-6, rtol=0)

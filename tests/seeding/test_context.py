@@ -1,7 +1,6 @@
 """What a rule is given: seeds from cells, voxel lookups, views of the map."""
 
 import dataclasses
-import math
 from types import SimpleNamespace
 
 import pytest
@@ -81,24 +80,6 @@ def test_seeds_are_placed_in_the_world():
     torch.testing.assert_close(seeds.scale_m[:, 0], torch.tensor([1.5, 3.0]) / 600)
     assert seeds.tag.tolist() == [4, 5]
     assert seeds.opacity.tolist() == pytest.approx([0.7, 0.7])
-
-
-def test_normals_face_the_camera_and_turn_with_the_pose():
-    T_WC = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, math.pi / 2, 0.0]))
-    ctx = SeedContext(frame(torch.full((5, 5), 1.0), T_WC=T_WC))
-    torch.testing.assert_close(ctx.normals()[2, 2], torch.tensor([0.0, 0.0, -1.0]))
-    torch.testing.assert_close(ctx.normals_W()[2, 2], torch.tensor([-1.0, 0.0, 0.0]), atol=1e-6, rtol=0)
-    assert ctx.normals() is ctx.normals()
-
-
-def test_volume_lookups():
-    ctx = SeedContext(frame(torch.ones(2, 2)), FakeVolume())
-    xyz = torch.tensor([[0.1, 0.6, -0.1], [1.6, -0.6, 0.0]])
-    assert ctx.voxel_weight(xyz).tolist() == [0.0, 3.0]
-    assert ctx.tsdf(xyz).tolist() == pytest.approx([0.0, 0.3])
-    assert ctx.voxel_index(xyz).tolist() == [[0, 1, -1], [3, -2, 0]]
-    assert ctx.voxel_index(xyz).dtype == torch.int64
-    assert ctx.near_m == 0.7
 
 
 def test_map_view_of_a_gaussian_map():

@@ -9,7 +9,7 @@ from gsfusion_nb.config import gsfusion
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.mapping import GSFusion
-from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
+from gsfusion_nb.seeding import SeedContext, Seeds
 from gsfusion_nb.tsdf import FusedView, TsdfVolume, fuse_frame_, new_band_blocks, raycast
 from gsfusion_nb.types import Camera, Frame
 
@@ -41,21 +41,6 @@ def with_map(xyz_W: torch.Tensor, **more) -> SeedContext:
     return SeedContext(frame(index=7), gaussians=model, **more)
 
 
-def test_detail_of_the_picture():
-    ctx = square()
-    assert ctx.grey()[10, 15].item() == pytest.approx(0.9999, abs=1e-4)
-    assert ctx.gradient()[15, 9:12].tolist() == pytest.approx([0.5, 0.5, 0.0], abs=1e-3)
-    lap = ctx.laplacian()
-    assert lap[15, 8:13].tolist() == [0.0, 3.0, 3.0, 0.0, 0.0]
-    assert lap[8, 10].item() == 6.0  # a corner of the square
-    assert ctx.laplacian() is lap
-    thin, wide = ctx.edges(), ctx.edges(dilate_px=2)
-    assert thin.any()
-    assert not thin[12:18, 13:27].any()
-    assert (wide & ~thin).any()
-    assert not (thin & ~wide).any()
-
-
 @pytest.mark.parametrize("method", ["orb", "shi_tomasi"])
 def test_corners_of_a_square(method):
     found = square().corners(50, method)
@@ -83,22 +68,6 @@ def test_nearest_neighbours_and_the_usual_size():
     alone = SeedContext(frame())
     assert alone.nearest(new[:1]).spacing_m.isnan().all()
     assert alone.nearest(new, 1, "map").distance_m.isinf().all()
-
-
-def one_per_5_cm(ctx: SeedContext) -> Seeds:
-    seeds = ctx.seeds_at(ctx.pixels(), 1.0)
-    seeds = seeds[~ctx.occupied(seeds.xyz_W, 0.05)]
-    return seeds[ctx.first_in_voxel(seeds.xyz_W, 0.05)]
-
-
-def test_one_gaussian_a_voxel_across_frames():
-    model = GaussianModel(sh_degree=0)
-    for shift in (0.0, 0.01, 0.3):
-        view = frame()
-        view.T_WC[0, 3] = shift
-        model.append(apply_rule(one_per_5_cm, SeedContext(view, gaussians=model)))
-    voxels = (model.params.xyz_W / 0.05).floor()
-    assert len(voxels.unique(dim=0)) == len(model) > 100
 
 
 def test_outliers_are_far_from_all_others():

@@ -1,6 +1,7 @@
-"""RTG-SLAM's rule: the masks of Eq. 6 by hand, who becomes opaque or transparent, sizes, shares, both fidelities."""
+"""RTG-SLAM's rule and its gaps."""
 
 import dataclasses
+import math
 
 import pytest
 import torch
@@ -10,11 +11,11 @@ from gsfusion_nb.geometry import project, quaternion, se3
 from gsfusion_nb.render import SurfaceView
 from gsfusion_nb.seeding import SeedContext, apply_rule, check_contexts
 from gsfusion_nb.seeding.rules.rtg_slam import (
+    BORDER_M,
     COLOUR_ERROR,
     DEPTH_ERROR,
-    ERROR_SHARE,
     NEW_AREA,
-    draw_share,
+    gaps_around,
     wrong_pixels,
 )
 from gsfusion_nb.types import Camera, Frame, Seeds
@@ -174,18 +175,6 @@ def test_a_share_of_each_kind_is_drawn(share):
     assert len(torch.unique(seeds.xyz_W, dim=0)) == len(seeds)
 
 
-def test_drawing_is_uniform_without_replacement(generator):
-    mask = torch.rand(6, 5, generator=generator) < 0.6
-    counts = torch.zeros(30)
-    for _ in range(600):
-        pixel = draw_share(mask, 0.4, generator)
-        assert len(pixel.unique()) == len(pixel) == round(0.4 * int(mask.sum()))
-        counts[pixel] += 1
-    assert not counts[~mask.flatten()].any()
-    assert (counts[mask.flatten()] / 600 - 0.4).abs().max() < 0.08
-    assert len(draw_share(torch.zeros(3, 3, dtype=torch.bool), 0.5, generator)) == 0
-
-
 def small_discs(n_side: int, z: float, radius_m: float, rgb: tuple[float, float, float], stable: bool) -> SurfelModel:
     """A sheet of discs three and a half radii apart, all over the view."""
     step = 3.5 * radius_m
@@ -252,9 +241,49 @@ def test_code_adds_nothing_near_unstable_discs_nor_in_reach_of_any():
     assert seeds.scale_m.max() <= 0.05 + 1e-7
 
 
-def test_code_draws_its_own_share_of_wrong_pixels():
-    ctx = context(patches())
-    kinds = masks(ctx, "code")
-    seeds = apply_rule("rtg_slam", ctx, {"share": 1.0, "fidelity": "code"})
-    assert 0 < int((seeds.tag == DEPTH_ERROR).sum()) <= round(ERROR_SHARE * int(kinds[DEPTH_ERROR].sum()))
-    assert not (seeds.tag == COLOUR_ERROR).any()
+NONE = torch.zeros(0, 3), torch.zeros(0)
+
+
+def grid(n: int, spacing: float) -> torch.Tensor:
+    a = torch.arange(n) * spacing
+    return torch.stack([*torch.meshgrid(a, a, indexing="ij"), torch.zeros(n, n)], dim=-1).reshape(-1, 3)
+
+
+def test_the_middle_of_a_grid_is_as_wide_as_its_spacing():
+    size = gaps_around(grid(5, 0.02), *NONE).size_m.view(5, 5)
+    torch.testing.assert_close(size[1:-1, 1:-1], torch.full((3, 3), 0.02))
+    # a corner has neighbours at 1, 1 and sqrt(2) spacings: sqrt((1 + 1 + 2) / 3)
+    assert float(size[0, 0]) == pytest.approx(0.02 * math.sqrt(4 / 3), rel=1e-5)
+
+
+def test_by_hand_with_an_existing_disc():
+    """Points at x = 0, 0.1, 0.3; a disc of radius 0.03 at x = 0.14 covers 0.05 .. 0.23."""
+    xyz = torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [0.3, 0, 0]])
+    gaps = gaps_around(xyz, torch.tensor([[0.14, 0.0, 0.0]]), torch.tensor([0.03]))
+    expected = [[0.05, 0.1, 0.3], [-0.05, 0.1, 0.2], [0.07, 0.2, 0.3]]
+    torch.testing.assert_close(gaps.gap_m.sort(dim=1).values, torch.tensor(expected))
+    assert gaps.overlaps.tolist() == [False, True, False]
+    rms = [math.sqrt(sum(max(g, 0.0) ** 2 for g in row) / 3) for row in expected]
+    torch.testing.assert_close(gaps.size_m, torch.tensor(rms))
+
+
+def brute_force(xyz, other, radius, reach: float, k: int) -> torch.Tensor:
+    """Distances to every other centre in the padded box, less the reach of the k nearest."""
+    low, high = xyz.amin(0) - BORDER_M, xyz.amax(0) + BORDER_M
+    rows = []
+    for i in range(len(xyz)):
+        found = [(float((xyz[i] - xyz[j]).norm()), 0.0) for j in range(len(xyz)) if j != i]
+        for x, r in zip(other, radius, strict=True):
+            if ((x >= low) & (x <= high)).all():
+                found.append((float((xyz[i] - x).norm()), float(r)))
+        rows.append([d - reach * r for d, r in sorted(found)[:k]])
+    return torch.tensor(rows)
+
+
+@pytest.mark.parametrize(("m", "n"), [(2, 5), (30, 0), (25, 40)])
+def test_agrees_with_a_loop_over_all_pairs(generator, m, n):
+    xyz = torch.rand(m, 3, generator=generator) * 0.3
+    other = torch.rand(n, 3, generator=generator) * 0.6 - 0.15
+    radius = torch.rand(n, generator=generator) * 0.03
+    gaps = gaps_around(xyz, other, radius)
+    torch.testing.assert_close(gaps.gap_m, brute_force(xyz, other, radius, 3.0, 3), atol=1e-6, rtol=1e-5)

@@ -1,6 +1,5 @@
 """Registry, signatures, options, checked results, one seed per voxel."""
 
-import dataclasses
 from typing import Literal
 
 import pytest
@@ -161,14 +160,6 @@ def test_one_per_voxel_keeps_the_largest_and_of_equals_the_first():
     assert len(keep_one_per_voxel(seeds[:0], voxel[:0])) == 0
 
 
-def test_one_per_voxel_through_apply_rule(ctx):
-    every = apply_rule("dense", ctx)
-    single = apply_rule("dense", ctx, one_per_voxel=True)
-    voxels = ctx.voxel_index(single.xyz_W)
-    assert len(torch.unique(voxels, dim=0)) == len(single) < len(every)
-    assert len(torch.unique(ctx.voxel_index(every.xyz_W), dim=0)) == len(single)
-
-
 def test_one_per_voxel_counts_the_gaussians_of_the_map():
     voxel = torch.tensor([[0, 0, 0], [5, 0, 0], [-1, 0, 0], [5, 0, 0]])
     seeds = Seeds.isotropic(voxel.float(), torch.zeros(4, 3), torch.ones(4), tag=torch.arange(4))
@@ -200,20 +191,3 @@ def test_a_rule_that_changes_its_inputs_is_refused(ctx):
 
     with pytest.raises(ChangedInputError, match=r"rule 'clears_depth' changed frame.depth_m in place"):
         apply_rule(clears_depth, ctx)
-
-
-def test_floats_made_of_bytes_may_be_asked_for_but_not_changed(ctx):
-    frame = dataclasses.replace(ctx.frame, colour=ctx.frame.rgb_u8, rgb=None)
-
-    def looks(ctx: SeedContext) -> Seeds:
-        assert ctx.frame.rgb.max() <= 1
-        return ctx.cells()
-
-    def dims(ctx: SeedContext) -> Seeds:
-        ctx.frame.rgb.mul_(0.5)
-        return ctx.cells()
-
-    assert len(apply_rule(looks, dataclasses.replace(ctx, frame=frame)))
-    again = dataclasses.replace(ctx.frame, colour=ctx.frame.rgb_u8, rgb=None)
-    with pytest.raises(ChangedInputError, match=r"rule 'dims' changed frame.rgb in place"):
-        apply_rule(dims, dataclasses.replace(ctx, frame=again))

@@ -7,10 +7,8 @@ from typing import Any
 import pytest
 import torch
 
-from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data.room import room
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import SeedContext, StepStats, abs_image_gradient, image_gradient, restart_statistics
 from gsfusion_nb.seeding.points import add_up
 from gsfusion_nb.seeding.rules import default_strategy, mcmc
@@ -235,43 +233,3 @@ def _covariance(quats, scales, **_):
 
     R = normalized_quat_to_rotmat(torch.nn.functional.normalize(quats, dim=-1))
     return R @ torch.diag_embed(scales**2) @ R.mT, None
-
-
-def test_motion_is_large_only_for_transparent_ones_and_has_the_shape_of_the_gaussian(model, frame, generator):
-    model.params.opacity_logit.copy_(torch.where(torch.arange(N) < 20, -9.0, 2.0))
-    model.params.log_scale.copy_(torch.tensor([0.1, 0.001, 0.001]).log().expand(N, 3))
-    model.params.quat.copy_(torch.tensor([1.0, 0, 0, 0]).expand(N, 4))
-    edit = refined(mcmc(lr_xyz=1e-3, noise_lr=1e3), model, frame, 7, generator)
-    assert edit is not None
-    away = (edit.set["xyz_W"][1] - model.params.xyz_W).abs()
-    assert float(away[20:].max()) < 1e-6
-    assert float(away[:20, 0].median()) > 1e-3
-    assert float(away[:20, 1:].max()) < 1e-5
-
-
-@pytest.mark.parametrize(
-    ("rule", "options"),
-    [
-        (default_strategy, {"refine_start_iter": 3, "refine_every": 4, "reset_every": 16, "grow_grad2d": 1e-5}),
-        (
-            default_strategy,
-            {"refine_start_iter": 3, "refine_every": 4, "reset_every": 16, "grow_grad2d": 8e-5, "absgrad": True},
-        ),
-        (mcmc, {"refine_start_iter": 3, "refine_every": 4, "cap_max": 300, "min_opacity": 0.05}),
-    ],
-)
-def test_they_run_online_and_in_the_passes(rule, options):
-    frames = room(n_frames=120, width=32, height=24)
-    small = {"tsdf__voxel_size_m": 0.08, "tsdf__truncation_voxels": 3.0, "keyframe_every": 2, "sh_degree": 1}
-    mapper = GSFusion(gsfusion("room", seeding__options=options | {"share": 0.2}, **small), seeding=rule)
-    counts = [mapper.step(frames[i]).n_gaussians for i in range(0, 8, 2)]
-    n_seeds = 32 * 24 * 0.2
-    assert counts[-1] > n_seeds
-    assert rule is not mcmc or max(counts) <= 300
-    losses = [step.loss for step in mapper.global_optimise(2)]
-    assert all(math.isfinite(loss) for loss in losses)
-    assert mapper.gaussians.count_not_finite() == 0
-    if rule is default_strategy:
-        kept = {"times_visible", "abs_image_gradient" if "absgrad" in options else "image_gradient"}
-        assert mapper.gaussians.memory.keys() == kept
-    assert mapper.config.optim.opacity_weight == (0.01 if rule is mcmc else 0.0)
