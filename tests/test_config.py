@@ -93,7 +93,6 @@ def test_unknown_names_are_refused_with_the_known_ones():
         ({"data__hold_out_every": 1}, "would hold out every frame"),
         ({"tsdf__voxel_size_m": 0.0001}, r"tsdf.voxel_size_m must be between 0.001 and 1, got 0.0001"),
         ({"tsdf__far_m": float("inf")}, r"tsdf.far_m must be finite, got inf"),
-        ({"optim__beta2": 2.0}, r"optim.beta2 must be between 0 and 0.999999, got 2.0"),
         ({"optim__lr_xyz": float("nan")}, r"optim.lr_xyz must be finite, got nan"),
         ({"data__depth_min_m": 5.0, "data__depth_max_m": 1.0}, r"depth_max_m must be above depth_min_m 5.0"),
         ({"sh_degree": 5}, "sh_degree must be 0, 1, 2 or 3"),

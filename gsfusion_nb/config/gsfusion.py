@@ -2,9 +2,9 @@
 
 import functools
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
-from ..checks import check_name, check_number, check_positive
+from ..checks import check_name, check_number
 from .parts import SystemConfig, TsdfConfig
 from .values import check_kinds, fidelity_of, from_dict, replace
 
@@ -28,12 +28,12 @@ class OptimConfig:
     """Learning rate of the rotations (quaternion components)."""
     lr_opacity_logit: float = 5e-2
     """Learning rate of the opacities, before the sigmoid."""
-    beta1: float = 0.9
+    beta1: ClassVar[float] = 0.9
     """Adam's memory of the gradient, 0 to 1. Larger: smoother, slower to change direction. Usual: 0.8 to 0.95."""
-    beta2: float = 0.999
+    beta2: ClassVar[float] = 0.999
     """Adam's memory of the squared gradient, 0 to 1. Larger: the step size follows changes more slowly. Usual: 0.99 to
     0.999."""
-    eps: float = 1e-15
+    eps: ClassVar[float] = 1e-15
     """Added to Adam's denominator against division by zero. Larger: smaller steps where gradients are small."""
     adam_steps: Literal["none", "shared", "per_row"] = "none"
     """Bias correction of Adam: decides how fast Gaussians move. "none": no correction, so the first steps of a new
@@ -61,10 +61,10 @@ class OptimConfig:
     """In the passes after the scan, each keyframe also moves towards the pose at which the map fits its picture; the
     frames between follow. On: sharper pictures where the poses of the data are some tenths of a degree off; the given
     poses then fit the map less well. The TSDF keeps the given poses."""
-    pose_sigma_m: float = 0.02
+    pose_sigma_m: ClassVar[float] = 0.02
     """Standard deviation of the given positions, metres: how far refine_poses may move them. Larger: the picture counts
     more, the given pose less. Usual: 0.005 to 0.05."""
-    pose_sigma_deg: float = 1.0
+    pose_sigma_deg: ClassVar[float] = 1.0
     """Standard deviation of the given rotations about each axis, degrees. Usual: 0.2 to 2."""
     fit_exposure: bool = False
     """In the passes after the scan, compare each keyframe with the map's picture times three factors, one a colour,
@@ -88,17 +88,12 @@ class OptimConfig:
         check_kinds("optim", self)
         for name in ("lr_xyz", "lr_sh_dc", "lr_sh_rest", "lr_log_scale", "lr_quat", "lr_opacity_logit"):
             check_number(f"optim.{name}", getattr(self, name), 0, 10)
-        for name in ("beta1", "beta2"):
-            check_number(f"optim.{name}", getattr(self, name), 0, 0.999999)
-        check_number("optim.eps", self.eps, 0, 1)
         counts = ("keyframe_iterations", "frame_iterations", "random_keyframe_iterations", "global_iterations")
         for name in counts:
             if getattr(self, name) < 0:
                 raise ValueError(f"optim.{name} must be >= 0, got {getattr(self, name)}")
         for name in ("ssim_weight", "online_ssim_weight"):
             check_number(f"optim.{name}", getattr(self, name), 0, 1)
-        for name in ("pose_sigma_m", "pose_sigma_deg"):
-            check_positive(f"optim.{name}", getattr(self, name))
         for name in ("depth_weight", "isotropy_weight", "scale_weight", "opacity_weight"):
             check_number(f"optim.{name}", getattr(self, name), 0, 1e6)
 

@@ -1,7 +1,7 @@
 """Settings of camera tracking and of its back end, for all systems."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 from ..checks import check_number, check_positive
 from .values import check_kinds
@@ -28,35 +28,34 @@ class BackEndConfig:
     loop_min_gap: int = 8
     """A loop connects keyframes that are at least this many keyframes apart. Larger: ignores short loops. Usual: 5 to
     20."""
-    loop_min_inliers: int = 30
+    loop_min_inliers: ClassVar[int] = 30
     """Smallest number of landmarks that must agree on the relative pose of a loop. Larger: fewer false loops, and fewer
     true ones. Usual: 20 to 100."""
-    loop_max_drift: float = 0.2
+    loop_max_drift: ClassVar[float] = 0.2
     """A loop is refused, as another place that looks the same, if it disagrees with the trajectory by more than 0.3 m
     and 10 degrees plus this share of the path between its ends (of its length, of its rotation). Larger: accepts loops
     after more drift, and more false ones. Usual: 0.05 to 0.5."""
     correct_from_m: float = 0.02
     """A loop corrects the trajectory at once if they disagree by more than this, metres; smaller differences are
     corrected at the end of the scan. Larger: fewer interruptions. Usual: 0.01 to 0.1."""
-    correct_from_deg: float = 0.5
+    correct_from_deg: ClassVar[float] = 0.5
     """Likewise for the angle between them, degrees. Usual: 0.2 to 5."""
-    odometry_sigma_m: float = 0.02
+    odometry_sigma_m: ClassVar[float] = 0.02
     """Largest standard deviation of the tracked motion between two keyframes of the graph, metres per axis; it is
     trusted more where it agrees with the landmarks. Larger: loops bend the trajectory more. Usual: 0.005 to 0.1."""
-    odometry_sigma_deg: float = 0.5
+    odometry_sigma_deg: ClassVar[float] = 0.5
     """Likewise for its rotation, degrees per axis. Usual: 0.1 to 2."""
-    landmarks_per_keyframe: int = 150
+    landmarks_per_keyframe: ClassVar[int] = 150
     """How many landmarks of each keyframe take part in the optimisation at the end, those seen in most frames first.
     Larger: more exact, slower. Usual: 50 to 500."""
 
     def __post_init__(self):
         check_kinds("tracking.back_end", self)
-        for name in ("features", "levels", "loop_min_gap", "loop_min_inliers", "landmarks_per_keyframe"):
+        for name in ("features", "levels", "loop_min_gap"):
             check_number(f"tracking.back_end.{name}", getattr(self, name), 1, 100_000)
-        for name in ("keyframe_rotation_deg", "keyframe_translation_m", "odometry_sigma_m", "odometry_sigma_deg"):
+        for name in ("keyframe_rotation_deg", "keyframe_translation_m"):
             check_positive(f"tracking.back_end.{name}", getattr(self, name))
-        for name in ("loop_max_drift", "correct_from_m", "correct_from_deg"):
-            check_number(f"tracking.back_end.{name}", getattr(self, name), 0, 1000)
+        check_number("tracking.back_end.correct_from_m", self.correct_from_m, 0, 1000)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,14 +67,13 @@ class LandmarkConfig:
     from it, and their errors join ICP's. The settings of the features are those of the back end, which need not be
     enabled. On by default for RTG-SLAM, whose model is less exact than a TSDF: docs/tracking.md has the errors
     of both systems without and with it."""
-    sigma_m: float = 0.02
+    sigma_m: ClassVar[float] = 0.02
     """A landmark that is off by one standard deviation counts as much as a pixel of near depth that is off by this,
     metres, where the pose from depth contradicts the landmarks beyond their noise; where it does not, they do not
     count. Larger: texture counts more, depth less. Usual: 0.01 to 0.03."""
 
     def __post_init__(self):
         check_kinds("tracking.landmarks", self)
-        check_positive("tracking.landmarks.sigma_m", self.sigma_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,14 +119,14 @@ class TrackingConfig:
     where it agrees with the last frame to 1 cm and the last frame's own depth elsewhere (released code), needed for
     RTG-SLAM, whose newest discs are not exact yet. RTG-SLAM's mean ATE: on the built-in room 0.2 cm with "hybrid" and
     5.5 cm with "model"; on redkitchen250 5.4 cm with "hybrid", lost with "model"."""
-    min_inliers: float = 0.15
+    min_inliers: ClassVar[float] = 0.15
     """Tracking fails if less than this share of the pixels with depth found a corresponding point, 0 to 1. Larger:
     gives up earlier instead of accepting a wrong pose. Usual: 0.1 to 0.4."""
     min_overlap_inliers: float = 0.4
     """Tracking also fails if less than this share of the pixels that fall on a known part of the model found a
     corresponding point, 0 to 1. Correctly tracked frames had 0.53 or more; of 390 frames started at the pose of another
     place, 15 reached more than 0.4. Usual: 0.3 to 0.5."""
-    max_rms_m: float = 0.02
+    max_rms_m: ClassVar[float] = 0.02
     """Tracking fails if the root mean square of the point-to-plane distances is above this, metres. Larger: accepts
     noisier depth. Usual: 0.01 to 0.05."""
     min_eigenvalue: float = 1e-3
@@ -152,13 +150,12 @@ class TrackingConfig:
         for name in ("pyramid", "iterations"):
             for value in getattr(self, name):
                 check_number(f"tracking.{name}", value, 1, 1000)
-        for name in ("max_distance_m", "max_angle_deg", "max_rms_m", "max_step_m", "max_step_deg"):
+        for name in ("max_distance_m", "max_angle_deg", "max_step_m", "max_step_deg"):
             check_positive(f"tracking.{name}", getattr(self, name))
         if self.even_to_m is not None:
             check_positive("tracking.even_to_m", self.even_to_m)
         if self.brightness_m is not None:
             check_positive("tracking.brightness_m", self.brightness_m)
         check_number("tracking.damping", self.damping, 0, 1)
-        check_number("tracking.min_inliers", self.min_inliers, 0, 1)
         check_number("tracking.min_overlap_inliers", self.min_overlap_inliers, 0, 1)
         check_number("tracking.min_eigenvalue", self.min_eigenvalue, 0, 1)

@@ -228,7 +228,8 @@ def _explain_own_fields(cls: type) -> None:
     import tyro
 
     texts = _explanations(cls)
-    for name, kind in list(inspect.get_annotations(cls).items()):
+    fields = {f.name for f in dataclasses.fields(cls)}
+    for name, kind in [(n, k) for n, k in inspect.get_annotations(cls).items() if n in fields]:
         plain, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
         if is_dataclass(plain):
             _explain(plain)  # pyright: ignore[reportArgumentType]
