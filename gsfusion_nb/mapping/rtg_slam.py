@@ -301,8 +301,9 @@ class RTGSLAM(Mapper):
         for index, T_WC in enumerate(poses[:: max(1, len(poses) // MESH_VIEWS)]):
             assert self.camera is not None
             view = self.surface(self.camera, T_WC)
-            seen = {"rgb": view.rgb.clamp(0, 1), "depth_m": view.depth_m, "T_WC": T_WC.to(self.device)}
-            integrate(volume, Frame(index=index, timestamp_s=0.0, camera=self.camera, **seen))
+            rgb, pose = view.rgb.clamp(0, 1), T_WC.to(self.device)
+            frame = Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=view.depth_m, camera=self.camera, T_WC=pose)
+            integrate(volume, frame)
         return extract_mesh(volume)
 
     @property
