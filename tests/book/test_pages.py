@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from book.assemble import Settings, opening_bar, read_settings, with_answers
+from book.assemble import with_answers
 from book.build import broken_links
 from book.chapters import Chapter
 from book.pages import Places, in_the_book, places_of
@@ -95,20 +95,6 @@ def test_a_question_of_the_quiz_gets_its_answer():
     assert "The checker says: two. Got 1" in page
     with pytest.raises(ValueError, match="no answer to psnr-2"):
         with_answers(questions, answers.splitlines()[0])
-
-
-def test_links_to_services_need_a_repository(tmp_path):
-    file = tmp_path / "book.toml"
-    file.write_text('repository = ""\n')
-    assert "Binder" not in opening_bar("notebooks/00_quickstart.ipynb", read_settings(file))
-    bar = opening_bar("notebooks/00_quickstart.ipynb", read_settings(file, "https://github.com/some/where"))
-    assert "https://mybinder.org/v2/gh/some/where/main?labpath=notebooks%2F00_quickstart.ipynb" in bar
-    assert "https://colab.research.google.com/github/some/where/blob/main/notebooks/00_quickstart.ipynb" in bar
-    with pytest.raises(ValueError, match="such as https"):
-        Settings(repository="some/where")
-    file.write_text("colour = 1\n")
-    with pytest.raises(ValueError, match="expected a text for one of title, repository, branch"):
-        read_settings(file)
 
 
 def test_the_link_checker_finds_what_is_wrong(tmp_path):

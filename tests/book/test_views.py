@@ -12,13 +12,10 @@ import torch
 from book.record import (
     cells_to_run,
     kernel_views,
-    put_views,
     record,
     record_all,
     run,
-    view_html,
     wanted_views,
-    write,
 )
 from book.recorded import needed_cells
 from book.recorders import record_panel
@@ -171,17 +168,6 @@ def in_node(node, folder: Path, data: dict, call: str) -> list:
     return json.loads(done.stdout)
 
 
-def test_the_gradient_microscope_is_recorded_for_both_picks(recorded_views):
-    view = recorded_views["gradients"]
-    assert len(view.pictures) == 2 * 3 * 3
-    places, controls = view.data["click"]["places"], view.data["controls"][1:]
-    assert [place[control["start"]] for place, control in zip(places, controls, strict=True)] == [80, 60]
-    of_pixel, of_gaussian = (view.data["grids"][0]["alts"][k] for k in (4, 9 + 4))
-    assert "now" not in of_pixel
-    assert "Gaussians of pixel (80, 60)" in of_pixel
-    assert "for Gaussian" in of_gaussian
-
-
 def test_a_trace_tells_the_stories_of_pixels_gaussians_and_voxels(recorded_views):
     view = recorded_views["trace"]
     stories, follows = view.data["stories"], view.data["follows"]
@@ -196,17 +182,6 @@ def test_a_trace_tells_the_stories_of_pixels_gaussians_and_voxels(recorded_views
         assert serials == sorted(serials)
         assert len(serials) <= story["count"]
     assert {moment[1] for story in stories for moment in story["moments"]} == set(view.pictures)
-
-
-def test_the_files_of_a_view_are_where_its_page_looks(recorded_views, tmp_path):
-    write({"cell": recorded_views["panel"]}, tmp_path / "views/03_x")
-    listed = {"03_x.ipynb": json.loads((tmp_path / "views/03_x/views.json").read_text())}
-    put_views(listed, tmp_path / "views", tmp_path / "site")
-    html = view_html(listed, "notebooks/03_x.ipynb", "cell") or ""
-    assert 'data-src="03_x_files/cell.view.js"' in html
-    assert (tmp_path / "site/notebooks/03_x_files/cell.view.js").read_text().startswith('gsnbView("cell", {')
-    assert (tmp_path / "site/notebooks/03_x_files/cell/0_0_0.webp").exists()
-    assert view_html(listed, "notebooks/03_x.ipynb", "other") is None
 
 
 @pytest.mark.ci

@@ -1,5 +1,7 @@
-"""``show``: the size on screen, and labels that stay legible."""
+"""Importing the room of pictures is light; pictures keep the size of their labels, and have words."""
 
+import subprocess
+import sys
 from typing import Any
 
 import cv2
@@ -8,6 +10,19 @@ import pytest
 
 from gsfusion_nb.drawing.pictures import LABEL_PX
 from gsfusion_nb.viz import curve_figure, show, show_figure
+
+
+def test_viz_is_light_and_complete():
+    code = (
+        "import sys, gsfusion_nb.viz as v; "
+        "heavy = [m for m in ('ipywidgets', 'pyvista', 'matplotlib', 'cv2', 'IPython') if m in sys.modules]; "
+        "from gsfusion_nb.viz import LiveMapper, Player, SplatViewer, map_picture, orbit_camera, show, show_mesh; "
+        "late = [m for m in ('pyvista', 'matplotlib') if m in sys.modules]; "
+        "missing = [n for n in v.__all__ if not callable(getattr(v, n))]; "
+        "print(heavy, late, missing)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[] [] []"
 
 
 def shown(image):

@@ -130,13 +130,6 @@ def test_ellipses_are_those_of_the_renderer(ask, scene):
         torch.testing.assert_close(got, expected[row], rtol=2e-3, atol=1e-3)  # worst seen: 4e-4 of a conic
 
 
-def test_nearest_first(ask, scene):
-    answer = ask(scene)
-    depth = np.array(answer["projected"]["depth"])[answer["order"]]
-    assert np.diff(depth).min() > -(depth.max() - depth.min()) / 65000
-    assert sorted(answer["order"]) == list(range(len(depth)))
-
-
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_the_picture_is_the_renderers(ask, scene, degree):
     params = GaussianParams(
@@ -147,12 +140,6 @@ def test_the_picture_is_the_renderers(ask, scene, degree):
     expected = render(params, CAMERA, T_WC)
     assert psnr(pixels(answer)[..., :3], as_bytes(expected.rgb)) > 45  # 52 dB seen: bytes are rounded
     assert (answer["drawn"], answer["thinned"], answer["mark"]) == (len(ask(params)["projected"]["row"]), None, None)
-
-
-def test_half_the_resolution_is_half_the_camera(ask, scene):
-    (answer,) = ask(scene, {"kind": "draw"}, scale=0.5)["answers"]
-    small = Camera(width=45, height=34, fx=35.0, fy=36.0, cx=22.0, cy=17.5)
-    assert psnr(pixels(answer)[..., :3], as_bytes(render(scene, small, T_WC).rgb)) > 40
 
 
 def test_settings_of_the_look(ask, scene):
@@ -188,20 +175,6 @@ def test_colours_by_number_and_by_depth(ask, scene):
     assert np.abs(np.array(order["colours"]).reshape(-1, 4)[:, :3] - as_bytes(own)).max() <= 1.5
 
 
-def test_time_and_thinning(ask, scene):
-    birth = np.arange(len(scene), dtype=np.float32)[:, None]
-    late, thin = ask(
-        scene, {"kind": "sort", "look": {"bornUntil": 99, "birth": 0}}, {"kind": "sort", "look": {"limit": 10}},
-        columns=birth,
-    )["answers"]  # fmt: skip
-    assert max(late["order"]) <= 99
-    variance = (2 * scene.log_scale).exp()
-    area = (variance * variance.roll(1, 1)).sum(1).sqrt()
-    top = (scene.opacity_logit.sigmoid() * area).topk(10).indices
-    assert set(thin["order"]) <= set(top.tolist())
-    assert thin["thinned"] == {"shown": 10, "of": 300}
-
-
 def test_a_pick_is_the_frontmost_that_covers_the_pixel_or_else_the_strongest(ask, scene):
     spots = [(20.5, 30.5), (45.5, 33.5), (60.5, 40.5), (33.5, 20.5), (50.5, 50.5)]
     answers = ask(scene, *[{"kind": "pick", "x": x, "y": y} for x, y in spots])["answers"]
@@ -216,13 +189,6 @@ def test_a_pick_is_the_frontmost_that_covers_the_pixel_or_else_the_strongest(ask
         assert answer["depth"] == pytest.approx(float(p.depth_m[expected]), rel=1e-3)
     nothing = ask(scene[:0], {"kind": "pick", "x": 1, "y": 1})["answers"][0]
     assert nothing["row"] is None
-
-
-def test_the_marked_row_is_reported(ask, scene):
-    row = ask(scene)["projected"]["row"][5]
-    (answer,) = ask(scene, {"kind": "draw"}, picked=row)["answers"]
-    uv = project_gaussians(scene, CAMERA, T_WC).uv[row]
-    assert [answer["mark"]["u"], answer["mark"]["v"]] == pytest.approx(uv.tolist(), abs=1e-2)
 
 
 def test_parts_add_up_to_the_map(ask, scene, generator):

@@ -4,11 +4,9 @@ import time
 
 import cv2
 import numpy as np
-import pytest
 
 from gsfusion_nb.drawing.pictures import error_map
 from gsfusion_nb.viz import LiveLoop, LiveMapper
-from gsfusion_nb.viz.display import WIDGET_MIME
 from gsfusion_nb.viz.live import worth_looking_at
 from gsfusion_nb.viz.map_pictures import live_panels
 
@@ -88,33 +86,6 @@ def test_run_all_leaves_it_at_a_frame_worth_looking_at(make_run):
     assert worth_looking_at([]) == 0
 
 
-def enabled(live):
-    return {name for name, button in live.buttons.items() if not button.disabled}
-
-
-def test_only_buttons_that_do_something_are_enabled(make_run):
-    live = LiveMapper(make_run(n=60))
-    assert enabled(live) == {"Start", "Step"}
-    live.buttons["Step"].click()
-    wait_for(lambda: live.player.state == "paused")
-    assert enabled(live) == {"Start", "Step", "Stop"}
-    live.buttons["Start"].click()
-    assert enabled(live) == {"Pause", "Stop"}
-    live.buttons["Pause"].click()
-    wait_for(lambda: live.player.state == "paused")
-    assert enabled(live) == {"Start", "Step", "Stop"}
-    live.buttons["Stop"].click()
-    assert live.join(10)
-    assert enabled(live) == {"Start", "Step"}
-    short = LiveMapper(make_run(n=2))
-    short.run_sync()
-    assert enabled(short) == set()
-    broken = LiveMapper(make_run(broken=(1,)))
-    broken.start()
-    assert broken.join(20)
-    assert enabled(broken) == {"Start", "Step"}
-
-
 def test_an_error_is_shown_in_the_widget_and_nothing_is_printed(make_run, capsys):
     live = LiveMapper(make_run(broken=(3,)))
     live.start()
@@ -134,15 +105,6 @@ def test_another_live_mapper_stops_the_first(make_run):
     LiveMapper(make_run())
     assert first.join(10)
     assert len(first.run.steps) < 2000
-
-
-def test_stored_output_holds_the_picture(make_run, monkeypatch):
-    monkeypatch.setenv("GSNB_VIEW", "static")
-    live = LiveMapper(make_run())
-    live.run_sync(1)
-    bundle = live._repr_mimebundle_()[0]
-    assert WIDGET_MIME not in bundle
-    assert len(bundle["image/jpeg"]) > 1000
 
 
 def listen(viewer, monkeypatch):
@@ -225,12 +187,3 @@ def test_run_sync_then_buttons_go_on():
     assert work.done == 6
     assert "<b>finished</b> · step 6 of 6" in loop.status.value
     assert loop.image.value != before
-
-
-def test_an_error_is_shown_and_not_printed():
-    _, loop = make_loop(broken=3)
-    loop.buttons["Start"].click()
-    wait_for(lambda: "a hair in the gate" in loop.status.value)
-    assert loop.player.state == "failed"
-    with pytest.raises(RuntimeError, match="hair"):
-        make_loop(broken=1)[1].run_sync()

@@ -13,7 +13,7 @@ from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.render import view_surface
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.types import Camera, Frame, Seeds
-from gsfusion_nb.viz import LiveMapper, SplatViewer, orbit_camera
+from gsfusion_nb.viz import LiveMapper, orbit_camera
 from gsfusion_nb.viz.map_pictures import (
     CAUSES,
     STATE_COLOURS,
@@ -96,21 +96,6 @@ def test_panels_of_rtg_slam(rtg_run):
     green = (panels["seed_causes"] == CAUSES[1][1]).all(-1).sum()
     assert report.n_seeds / 4 < green <= 4 * report.n_seeds
     assert panels.mosaic().shape[1] == 3 * 48 + 2 * 6
-
-
-def test_live_mapper_drives_rtg_slam_and_brings_a_viewer_up_to_date(rtg_run, monkeypatch):
-    run = rtg_run()
-    live = LiveMapper(run)
-    live.run_sync(1)
-    seen = []
-    live.viewer = SplatViewer(run.mapper, lock=live.lock, colour_by="state")
-    monkeypatch.setattr(live.viewer, "update", lambda source: seen.append(len(source.gaussians)))
-    live.run_sync()
-    assert len(run.steps) == 8
-    assert seen[-1] == len(run.mapper.gaussians)
-    assert set(live.images) == set(captions_of(run.mapper))
-    assert all(image.value for image in live.images.values())
-    assert live.picture().shape[1] >= 3 * 48
 
 
 def test_a_tracked_frame_is_drawn_at_the_pose_where_it_was_mapped(rtg_run):

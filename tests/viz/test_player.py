@@ -84,18 +84,6 @@ def test_pause_holds_and_start_goes_on():
     player.close()
 
 
-def test_stop_and_start_at_once_loses_nothing():
-    work = Work(n=200, pause_s=0.0005)
-    player = Player(work.steps)
-    for _ in range(20):
-        player.start()
-        time.sleep(0.002)
-        player.stop()
-    player.start()
-    assert player.join(20)
-    assert (player.state, work.done) == ("finished", 200)
-
-
 def test_run_sync_works_here_and_takes_over_from_the_thread():
     work = Work(n=300, pause_s=0.0005)
     player = Player(work.steps)

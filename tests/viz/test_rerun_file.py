@@ -8,12 +8,6 @@ from gsfusion_nb import run_mapping
 from gsfusion_nb.cli import main
 
 
-def test_without_the_package_the_extra_is_named(monkeypatch, tmp_path, capsys):
-    monkeypatch.setitem(__import__("sys").modules, "rerun", None)
-    assert main(["map", "room", "--rerun", str(tmp_path / "a.rrd")]) == 1
-    assert "pip install 'gsfusion-nb[rerun]'" in capsys.readouterr().err
-
-
 def test_a_continued_run_writes_a_new_file(tmp_path, capsys):
     (tmp_path / "a.rrd").touch()
     assert main(["map", "--resume", str(tmp_path), "--rerun", str(tmp_path / "a.rrd")]) == 1

@@ -2,8 +2,6 @@
 
 import base64
 import dataclasses
-import threading
-import time
 
 import cv2
 import numpy as np
@@ -13,13 +11,11 @@ import traitlets
 
 from gsfusion_nb.config import gps_slam
 from gsfusion_nb.drawing.pictures import to_uint8
-from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.render import render
 from gsfusion_nb.types import Camera, Seeds
 from gsfusion_nb.viz import SplatViewer, orbit_camera
 from gsfusion_nb.viz.display import WIDGET_MIME
-from gsfusion_nb.viz.map_pictures import STATE_COLOURS
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
 FRONT = orbit_camera((0, 0, 0), -90, 0, 2.0)
@@ -67,15 +63,6 @@ def test_it_starts_at_the_given_pose_and_camera(viewer):
     assert torch.allclose(torch.tensor(viewer.up_W), torch.tensor([0.0, 0, 1]))
 
 
-def test_the_canvas_keeps_the_cameras_view(model):
-    wide = SplatViewer(model, camera=CAMERA, T_WC=FRONT, width=128)
-    assert (wide.width, wide.height, wide.camera.fx) == (128, 96, 120.0)
-    tall = SplatViewer(model, camera=CAMERA, T_WC=FRONT, width=64, height=64)
-    assert (tall.camera.fx, tall.camera.cy) == (60.0, 32.0)
-    assert (SplatViewer(model).width, SplatViewer(model).height) == (480, 360)
-    assert SplatViewer(model).picture().max() > 100  # from above, by itself
-
-
 def test_columns_are_what_is_known(viewer, model):
     by_name = {c["name"]: c for c in viewer.columns}
     assert list(by_name) == ["birth_frame", "tag"]
@@ -100,14 +87,6 @@ def test_a_mapper_brings_its_camera_and_first_pose(make_run):
     assert (viewer.width, viewer.height) == (48, 36)
 
 
-def test_nothing_is_sent_before_someone_looks(viewer, model, sent):
-    viewer.update()
-    assert sent == []
-    say_ready(viewer)
-    (head, index, records) = sent[0]
-    assert (head["n"], head["all"], index, len(records)) == (2, True, None, 2)
-
-
 def test_updates_send_what_is_new(viewer, model, sent, monkeypatch):
     monkeypatch.setattr("gsfusion_nb.viz.splat_viewer.MIN_INTERVAL_S", 0.0)
     say_ready(viewer)
@@ -126,38 +105,6 @@ def test_updates_send_what_is_new(viewer, model, sent, monkeypatch):
     assert (sent[-1][0]["n"], sent[-1][0]["all"]) == (2, True)
     say_ready(viewer)  # a second view, or one that missed something
     assert (sent[-1][0]["all"], len(sent[-1][2])) == (True, 2)
-
-
-def test_a_view_that_cannot_answer_gets_everything(viewer, model, sent, monkeypatch):
-    """A loop in a cell keeps the kernel from hearing "ready"."""
-    monkeypatch.setattr("gsfusion_nb.viz.splat_viewer.MIN_INTERVAL_S", 0.0)
-    viewer._repr_mimebundle_()
-    for _ in range(2):
-        more(model)
-        viewer.update()
-    assert [(head["n"], head["all"]) for head, _, _ in sent] == [(3, True), (4, True)]
-
-
-def test_updates_from_a_thread_that_holds_the_map(model, monkeypatch):
-    """The mapper's thread holds its lock while it calls ``update``, the timer comes from outside: no deadlock."""
-    monkeypatch.setattr("gsfusion_nb.viz.splat_viewer.MIN_INTERVAL_S", 0.005)
-    lock = threading.RLock()
-    viewer = SplatViewer(model, camera=CAMERA, T_WC=FRONT, lock=lock)
-    monkeypatch.setattr(viewer, "send", lambda content, buffers=(): None)
-    say_ready(viewer)
-
-    def work():
-        for _ in range(100):
-            with lock:
-                more(model)
-                viewer.update()
-            time.sleep(0.001)
-
-    worker = threading.Thread(target=work, daemon=True)
-    worker.start()
-    worker.join(20)
-    assert not worker.is_alive()
-    assert viewer._sent is not None
 
 
 def test_a_pick_gives_the_row_and_tells_observers(viewer, model):
@@ -179,15 +126,6 @@ def test_a_pick_gives_the_row_and_tells_observers(viewer, model):
     model.keep(torch.tensor([True, False]))
     viewer.update()
     assert viewer.picked_row() is None
-
-
-def test_the_camera_moves_both_ways(viewer):
-    viewer.T_WC = orbit_camera((0, 0, 0), 0, 0, 2.0)
-    assert viewer.pose[3] == pytest.approx(2.0)
-    viewer.set_state({"pose": FRONT.flatten().tolist()})
-    assert torch.allclose(viewer.T_WC, FRONT)
-    with pytest.raises(ValueError, match="T_WC must be rigid"):
-        viewer.T_WC = 2 * torch.eye(4)
 
 
 def test_the_picture_is_our_renderers(viewer, model):
@@ -218,31 +156,10 @@ def test_stored_and_live_outputs(viewer, monkeypatch):
     assert stored["text/plain"] == "SplatViewer(2 Gaussians, 64x48)"
 
 
-def test_states_have_the_colours_of_the_live_panels(model):
-    viewer = SplatViewer(model, camera=CAMERA, T_WC=FRONT, extras={"state": torch.tensor([False, True])})
-    viewer.colour_by = "state"
-    assert [c["palette"] for c in viewer.columns if c["name"] == "state"] == ["state"]
-    stops = viewer.palettes["state"]
-    assert len(stops) == 6 * 256
-    assert (stops[:6], stops[-6:]) == tuple(bytes(STATE_COLOURS[f"{s}_opaque"]).hex() for s in ("unstable", "stable"))
-    left, right = (viewer.picture()[24, u].astype(int) for u in (17, 47))
-    assert left.argmax() == 0  # unstable: orange
-    assert right.argmax() == 2  # stable: blue
-
-
 def test_the_map_is_not_part_of_the_saved_state(viewer):
     say_ready(viewer)
     state = {k: v for k, v in viewer.get_state().items() if k not in ("_esm", "_css")}
     assert len(repr(state)) < 10_000
-
-
-def test_an_empty_map(monkeypatch):
-    viewer = SplatViewer(GaussianModel(sh_degree=0), width=64, height=48)
-    out = []
-    monkeypatch.setattr(viewer, "send", lambda content, buffers: out.append((content["head"]["n"], buffers)))
-    say_ready(viewer)
-    assert out == [(0, [b""])]
-    assert viewer.picture().shape == (48, 64, 3)
 
 
 def test_bad_rows_are_left_out_with_a_sentence(model, caplog):

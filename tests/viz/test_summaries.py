@@ -17,7 +17,6 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.gaussians import GaussianModel, SurfelModel
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun
-from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.viz import summaries
 from gsfusion_nb.viz.summaries import html_summary
@@ -64,29 +63,12 @@ def test_a_volume_shows_its_extent_and_a_slice(run):
     assert "<img" not in html_summary(TsdfVolume(TsdfConfig()))
 
 
-def test_cells_are_counted_level_by_level(run):
-    cells = quadtree(run.sequence.mapping[0].rgb_u8, threshold=0.1)
-    page = html_summary(cells)
-    for level in cells.level.unique().tolist():
-        count = f"{int((cells.level == level).sum()):,}"
-        assert f'level {level}</th><td style="text-align:left;vertical-align:top">{count}<' in page
-    assert picture(page).shape == (60, 80, 3)
-
-
 def test_a_map_is_seen_from_above(run):
     page = html_summary(run.mapper.gaussians)
     assert f"{len(run.mapper.gaussians):,}" in page
     assert picture(page).max() > 60
     assert "<img" not in html_summary(GaussianModel())
     assert "SurfelModel" in html_summary(SurfelModel(0))
-
-
-def test_a_run_shows_a_frame_beside_the_map(run):
-    page = html_summary(run)
-    assert "2 mapped" in page
-    assert f"{len(run.mapper.gaussians):,}" in page
-    photo, rendered = np.split(picture(page)[:, :166], [86], axis=1)
-    assert abs(photo[:, :80].mean() - rendered.mean()) < 40
 
 
 def test_ipython_is_told_of_every_summary_and_of_no_other():

@@ -7,7 +7,6 @@ import torch
 
 from gsfusion_nb.checks import check_pose
 from gsfusion_nb.geometry import camera, se3
-from gsfusion_nb.geometry.upright import world_up
 from gsfusion_nb.types import Camera
 from gsfusion_nb.viz.viewpoint import extent, orbit_camera
 
@@ -49,15 +48,6 @@ def test_impossible_orbits_are_refused():
         orbit_camera((0, 0, 0), 0, 0, -1)
     with pytest.raises(ValueError, match="up_W must be a direction"):
         orbit_camera((0, 0, 0), 0, 0, 1, (0, 0, 0))
-
-
-def test_up_is_the_mean_of_minus_y_and_snaps_to_an_axis():
-    around = [orbit_camera((0, 0, 0), azimuth, 30, 1.0) for azimuth in range(0, 360, 60)]
-    assert world_up(around).tolist() == [0, 0, 1]
-    assert world_up([torch.eye(4)]).tolist() == [0, -1, 0]
-    assert world_up([]).tolist() == [0, 0, 1]
-    tilted = se3.exp(torch.tensor([0, 0, 0, math.radians(30), 0, 0]))
-    assert torch.allclose(world_up([tilted]), -tilted[:3, 1], atol=1e-6)
 
 
 def test_extent_ignores_outliers():

@@ -1,7 +1,6 @@
 """ICP step by step, the map of its basin, and paths from above."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from gsfusion_nb.viz.panels.icp import (
     frame_surface,
     icp_panel,
     overlay_picture,
-    path_picture,
     pose_error,
     residual_picture,
     single_level_config,
@@ -37,19 +35,6 @@ def test_a_start_is_off_by_what_was_asked(pair):
     right = start[:3, 3] - frame.T_WC[:3, 3].double()
     assert torch.allclose(right / right.norm(), frame.T_WC[:3, 0].double(), atol=1e-4)
     assert pose_error(displaced_pose(frame.T_WC, 0, 5), frame.T_WC) == pytest.approx((0.0, 5.0), abs=1e-3)
-
-
-def test_residuals_are_white_at_the_truth_and_coloured_beside_it(pair):
-    known, frame = pair
-    surface, config = frame_surface(known), TrackingConfig()
-
-    def pale(T):
-        picture = residual_picture(frame, surface, T, config).astype(int)
-        shown = picture.max(-1) > 90
-        return (picture.min(-1)[shown] > 150).mean()
-
-    assert pale(frame.T_WC.double()) > 0.7
-    assert pale(displaced_pose(frame.T_WC, 0.0, 3.0)) < 0.6
 
 
 def test_a_point_behind_the_surface_is_red_and_one_before_it_blue(pair):
@@ -94,15 +79,3 @@ def test_the_basin_holds_the_truth_and_coarse_levels_widen_it(pair):
     picture = basin_picture(wide, sideways, turns)
     centre = picture[45, 62 + 45].astype(int)
     assert centre[1] > centre[0]
-
-
-def test_paths_from_above():
-    poses = torch.eye(4).repeat(20, 1, 1)
-    angle = torch.linspace(0, 2 * math.pi, 20)
-    poses[:, 0, 3], poses[:, 1, 3] = angle.cos(), angle.sin()
-    picture = path_picture({"circle": poses, "half": poses[:10]}, links=[(0, 19)], linked="circle")
-    assert picture.shape[1] == 400
-    drawn = (picture < 200).any(-1)
-    assert drawn.mean() > 0.005
-    still = path_picture({"no motion": poses[:1]})
-    assert still.dtype == np.uint8

@@ -59,31 +59,12 @@ def test_set_redraws_once_and_knows_its_names(panel):
         panel.set(lvel=1)
 
 
-def test_a_button_acts_and_redraws(panel):
-    panel.press("brighter now")
-    assert (shown(panel) == 150).all()
-    with pytest.raises(KeyError, match="no button 'darker'"):
-        panel.press("darker")
-
-
 def test_an_error_is_shown_and_the_picture_stays(panel):
     panel.controls["level"].value = 13
     assert "ValueError: 13 brings &lt;bad&gt; luck" in panel.caption.value
     assert (shown(panel) == 100).all()
     panel.controls["level"].value = 14
     assert panel.caption.value == "grey 14"
-
-
-def test_a_logarithmic_slider_has_its_ends():
-    panel = Panel(
-        lambda *, x: (np.zeros((2, 2, 3), np.uint8), f"{x:.3f}"),
-        {"x": Slider(value=0.1, low=0.001, high=10, step=0.02, label="x", log=True)},
-    )
-    assert panel.caption.value == "0.100"
-    panel.controls["x"].value = 10
-    assert panel.caption.value == "10.000"
-    panel.controls["x"].value = 0.00001
-    assert panel.caption.value == "0.001"
 
 
 def test_stored_and_live_outputs(panel, monkeypatch):

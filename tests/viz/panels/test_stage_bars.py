@@ -1,8 +1,11 @@
-"""Bars of a frame's stages, and Amdahl's law under sliders."""
+"""Bars of a frame's stages, Amdahl's law under sliders, and the strip of keyframes."""
 
 import pytest
+import torch
 
-from gsfusion_nb.viz.panels.stage_bars import amdahl_panel, stage_bars, stage_means
+from gsfusion_nb.optim import Keyframe
+from gsfusion_nb.types import Camera
+from gsfusion_nb.viz.panels.stage_bars import amdahl_panel, keyframe_strip, stage_bars, stage_means
 
 SECONDS = {"tsdf": 0.05, "optimise": 0.05}
 
@@ -27,3 +30,20 @@ def test_a_bar_is_as_long_as_its_time():
     red = (picture == (61, 133, 198)).all(-1)  # the first colour of the palette
     long, short = red[12].sum(), red[12 + 70].sum()
     assert long == pytest.approx(2 * short, abs=3)
+
+
+CAMERA = Camera(width=128, height=96, fx=120.0, fy=120.0, cx=64.0, cy=48.0)
+
+
+def keyframes(n):
+    shades = [torch.full((96, 128, 3), 5 * k, dtype=torch.uint8) for k in range(n)]
+    return [Keyframe(index=k, rgb_u8=shade, camera=CAMERA, T_WC=torch.eye(4)) for k, shade in enumerate(shades)]
+
+
+def test_pictures_in_rows():
+    strip = keyframe_strip(keyframes(5), columns=4, width=400)
+    height = strip.shape[0] // 2
+    assert strip.shape == (2 * height, 400, 3)
+    assert [int(strip[10, 50 + 100 * k, 0]) for k in range(4)] == [0, 5, 10, 15]
+    assert int(strip[height + 10, 50, 0]) == 20
+    assert (strip[height:, 100:] == 255).all()

@@ -55,11 +55,3 @@ def test_a_click_in_the_splat_viewer_follows_that_gaussian(panel):
     assert panel.story.row == 5
     assert panel.story.birth.rule == "gsfusion"
     assert any(np.any(panel.go_to(k).picture()) for k in range(3))
-
-
-def test_wrong_requests_are_refused(panel, make_run):
-    panel, _ = panel
-    with pytest.raises(ValueError, match="give one of"):
-        panel.look_at(pixel=(1, 1), gaussian=3)
-    with pytest.raises(ValueError, match="nothing is recorded"):
-        TracePanel(Trace(make_run(n=1).mapper))

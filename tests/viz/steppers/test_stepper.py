@@ -1,14 +1,42 @@
-"""The widget itself: where the buttons lead, what a stored notebook keeps, how much a step draws."""
+"""Recorded lines of a plain function, and the widget that steps through them."""
 
 import base64
+import sys
 
 import cv2
 import numpy as np
 import pytest
+import torch
 
+from gsfusion_nb.seeding.quadtree import luma_variance
+from gsfusion_nb.tsdf.volume import corner_weights
 from gsfusion_nb.viz import adam_stepper
 from gsfusion_nb.viz.display import WIDGET_MIME
-from gsfusion_nb.viz.steppers.stepper import text_of
+from gsfusion_nb.viz.steppers.recording import file_lines, record
+
+
+def test_lines_carry_the_values_after_them_and_the_text_of_the_file():
+    rgb = torch.arange(27, dtype=torch.uint8).view(3, 3, 3)
+    recording = record(lambda: luma_variance(rgb), {luma_variance: {"luma_variance": ("r", "g + b", "unknown")}})
+    first, last = recording
+    assert first.text.startswith("r, g, b = rgb.double()")
+    assert first.text == file_lines(first.path)[first.first - 1].strip()
+    assert first.place.startswith("gsfusion_nb/seeding/quadtree.py:")
+    assert first["r"] == pytest.approx(rgb[..., 0].double().var(correction=0).item())
+    assert "unknown" not in first.values
+    assert last["return"] == recording.result
+    with pytest.raises(ValueError, match="no line that ran"):
+        recording.at("x = 1")
+
+
+def test_the_trace_function_of_before_is_back_also_after_an_error():
+    def fails():
+        raise KeyError("here")
+
+    before = sys.gettrace()
+    with pytest.raises(KeyError):
+        record(fails, {corner_weights: {"corner_weights": ()}})
+    assert sys.gettrace() is before
 
 
 @pytest.fixture(scope="module")
@@ -33,16 +61,6 @@ def test_next_back_restart_and_any_number(stepper):
     assert stepper.alt.startswith("Adam on a growing map")
 
 
-def test_a_step_draws_only_what_moves(stepper, monkeypatch):
-    drawn = []
-    whole = stepper._canvas.draw
-    monkeypatch.setattr(stepper._canvas, "draw", lambda: drawn.append(1) or whole())
-    pictures = [stepper.go_to(k).picture() for k in range(stepper.count)]
-    assert drawn == []
-    assert (pictures[0] != pictures[-1]).any()
-    np.testing.assert_array_equal(stepper.go_to(0).picture(), pictures[0])  # nothing is left of later steps
-
-
 def test_a_stored_notebook_keeps_some_steps_as_one_picture(stepper, monkeypatch):
     monkeypatch.setenv("GSNB_VIEW", "static")
     data, metadata = stepper._repr_mimebundle_()
@@ -58,8 +76,3 @@ def test_a_stored_notebook_keeps_some_steps_as_one_picture(stepper, monkeypatch)
     monkeypatch.delenv("GSNB_VIEW")
     monkeypatch.setenv("GSNB_SMOKE", "0")
     assert WIDGET_MIME in stepper._repr_mimebundle_()[0]
-
-
-def test_numbers_are_short():
-    assert text_of(-0.123456) == "−0.1235"
-    assert (text_of(True), text_of(-3), text_of((1.0, 2))) == ("yes", "−3", "(1.0, 2)")

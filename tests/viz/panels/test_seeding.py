@@ -1,4 +1,4 @@
-"""Sliders from a rule's keywords, and the picture of its seeds, without a browser."""
+"""The quadtree's views; sliders from a rule's keywords, and the picture of its seeds."""
 
 from typing import Literal
 
@@ -9,10 +9,48 @@ import torch
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import GSFusion
-from gsfusion_nb.seeding import Seeds, registered, rule_options
+from gsfusion_nb.seeding import Seeds, quadtree, registered, rule_options
 from gsfusion_nb.viz.panels.panel import Choice, Slider, Switch
-from gsfusion_nb.viz.panels.seeding import RULE_SHOWS as SHOWS
-from gsfusion_nb.viz.panels.seeding import rule_context, rule_controls, rule_panel, rule_picture
+from gsfusion_nb.viz.panels.seeding import (
+    QUADTREE_SHOWS,
+    RULE_SHOWS,
+    cell_means,
+    quadtree_picture,
+    rule_context,
+    rule_controls,
+    rule_panel,
+    rule_picture,
+)
+
+
+@pytest.fixture
+def photo():
+    """Left half one colour, right half noise."""
+    rgb = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    rgb[:, :32] = (40, 90, 160)
+    return rgb
+
+
+def test_cells_are_filled_with_their_mean(photo):
+    cells = quadtree(torch.from_numpy(photo), threshold=0.02)
+    means = cell_means(torch.from_numpy(photo), cells).numpy()
+    for x, y, w, h in zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True):
+        expected = photo[y : y + h, x : x + w].reshape(-1, 3).mean(0).round()
+        assert (means[y : y + h, x : x + w] == expected).all()
+
+
+def test_every_view_draws_the_same_cells(photo):
+    pictures = {}
+    for show in QUADTREE_SHOWS:
+        pictures[show], cells = quadtree_picture(photo, threshold=0.02, show=show, scale=2)
+        assert len(cells) == len(quadtree(torch.from_numpy(photo), threshold=0.02))
+        assert pictures[show].shape == (96, 128, 3)
+    assert len({p.tobytes() for p in pictures.values()}) == 3
+    assert (pictures["mean colours"][10:80, 4:40] == (40, 90, 160)).all()
+    assert (pictures["Gaussians"][10:80, 10:40] == (40, 90, 160)).mean() > 0.99
+    with pytest.raises(ValueError, match="show must be one of cells"):
+        quadtree_picture(photo, show="dots")  # pyright: ignore[reportArgumentType]
+
 
 CONFIG = gsfusion("room", tsdf__voxel_size_m=0.04)
 
@@ -94,7 +132,7 @@ def test_views_and_an_empty_proposal(scenes):
     def none(ctx):
         return ctx.cells()[:0]
 
-    for show in SHOWS:
+    for show in RULE_SHOWS:
         picture, seeds = rule_picture(none, contexts["first"], show=show, scale=2)
         assert picture.shape == (480, 640, 3)
         assert len(seeds) == 0

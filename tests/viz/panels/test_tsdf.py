@@ -1,14 +1,74 @@
-"""The filling panel without a browser: moving changes nothing in the map, measuring does, forgetting undoes it."""
+"""A slice shows every voxel in its place; moving a camera changes nothing in the map, and measuring does."""
 
+import numpy as np
 import pytest
 import torch
 
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.drawing.pictures import LABEL_PX
-from gsfusion_nb.tsdf import TsdfVolume, integrate
+from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.viz import tsdf_fill_panel
-from gsfusion_nb.viz.panels.tsdf import camera_handles, heading_of, level_pose, slice_pixel
+from gsfusion_nb.viz.panels.tsdf import (
+    camera_handles,
+    draw_camera,
+    heading_of,
+    level_pose,
+    slice_picture,
+    slice_pixel,
+)
+
+VIEW = {"x_m": (0.0, 1.6), "y_m": (0.0, 0.8), "px_per_m": 100}
+
+
+@pytest.fixture
+def volume():
+    """One block of 10 cm voxels at the origin; voxel (1, 2, 3) has D = -1, W = 5 and is green; (4, 0, 3) has D = 1."""
+    volume = TsdfVolume(TsdfConfig(voxel_size_m=0.1))
+    volume.add_blocks(torch.tensor([[0, 0, 0]]))
+    for (x, y, z), D, W, rgb in (((1, 2, 3), -1.0, 5.0, (0.0, 1.0, 0.0)), ((4, 0, 3), 1.0, 10.0, (1.0, 0.0, 0.0))):
+        n = 64 * x + 8 * y + z
+        volume.D[0, n], volume.W[0, n] = D, W
+        volume.rgb_planes[0, :, n] = torch.tensor(rgb)
+    return volume
+
+
+def test_x_goes_right_and_y_goes_up(volume):
+    image = slice_picture(volume, height_m=0.35, **VIEW)
+    assert image.shape == (80, 160, 3)
+    seen = (image.max(-1) != image.min(-1)).astype(int)
+    expected = np.zeros((80, 160), int)
+    expected[50:60, 10:20] = 1  # voxel (1, 2): x 0.1..0.2, y 0.2..0.3
+    expected[70:80, 40:50] = 1
+    assert (seen == expected).all()
+    assert image[55, 15].argmax() == 0  # behind is red
+    assert image[75, 45].argmax() == 2  # free is blue
+    assert (slice_picture(volume, height_m=0.45, **VIEW).std(-1) == 0).all()  # another layer: nothing observed
+
+
+def test_weight_and_colour(volume):
+    weight = slice_picture(volume, height_m=0.35, quantity="weight", max_weight=10, **VIEW)
+    assert weight[75, 45].tolist() == [253, 231, 37]  # full: the last colour of viridis
+    assert weight[55, 15].tolist() != weight[75, 45].tolist()
+    colour = slice_picture(volume, height_m=0.35, quantity="colour", **VIEW)
+    assert colour[55, 15].tolist() == [0, 255, 0]
+    with pytest.raises(ValueError, match="one of distance, weight, colour, got 'depth'"):
+        slice_picture(volume, quantity="depth")  # pyright: ignore[reportArgumentType]
+
+
+def test_the_camera_stands_where_it_is_and_looks_where_it_looks():
+    camera = Camera(width=20, height=10, fx=20.0, fy=20.0, cx=10.0, cy=5.0)
+    T = torch.eye(4)
+    T[:3, :3] = torch.tensor([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along world x
+    T[:3, 3] = torch.tensor([0.4, 0.4, 0.3])
+    blank = np.zeros((80, 160, 3), np.uint8)
+    image = draw_camera(blank, camera, T, reach_m=0.8, **VIEW)
+    assert (blank == 0).all()
+    orange = np.argwhere((image[..., 0] > 200) & (image[..., 1] > 100))
+    assert orange[:, 1].min() >= 34  # nothing behind the camera at column 40
+    assert orange[:, 1].max() == pytest.approx(120, abs=2)
+    assert abs(orange[:, 0].mean() - 40) < 1.5  # the edges are symmetric about its row
+
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
 SMALL = CAMERA.resized(160, 120)
@@ -58,14 +118,6 @@ def test_only_measuring_fills_the_map(panel):
     panel.press("forget")
     assert "<b>0</b> blocks" in panel.caption.value
     assert panel.picture()[-240:, -320:].mean() < 1
-
-
-def test_it_notices_when_the_volume_is_filled_elsewhere():
-    volume = TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0))
-    panel = tsdf_fill_panel(volume, CAMERA, look)
-    integrate(volume, look(level_pose(0.0, 0.0, 1.3, 0.0)))
-    panel.redraw()
-    assert blue(panel.picture()) > 200
 
 
 def test_the_camera_is_dragged_in_the_slice_and_turned_by_its_handle(panel):

@@ -1,13 +1,17 @@
-"""Points of a frame from other poses: the same pose gives the picture back, a step moves near things farther."""
+"""Points of a frame from other poses; the true repair makes two frames of a recording agree."""
+
+import re
 
 import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb.data import tum
+from gsfusion_nb.data.room.hand_held import HandHeld, write_hand_held
 from gsfusion_nb.geometry import backproject, se3
 from gsfusion_nb.types import Camera, Frame
-from gsfusion_nb.viz import point_panel
-from gsfusion_nb.viz.panels.frames import moved_pose, normal_colours, pixel_story, point_view
+from gsfusion_nb.viz import point_panel, repair_panel
+from gsfusion_nb.viz.panels.frames import moved_pose, pixel_story, point_view
 
 CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
 
@@ -54,32 +58,6 @@ def test_the_nearest_point_wins_and_points_can_be_larger(frame):
     assert (full[22:26, 30:34] == (255, 0, 0)).all()
 
 
-def test_turning_right_moves_the_picture_left(frame):
-    picture = point_view(frame, moved_pose(frame.T_WC, (0.0, 0.0, 0.0), 10.0))
-    assert red(picture)[:, 1].mean() + 0.5 == pytest.approx(32 - 50 * np.tan(np.radians(10)), abs=1.0)
-    up = point_view(frame, moved_pose(frame.T_WC, (0.0, 0.0, 0.0), 0.0, 10.0))
-    assert red(up)[:, 0].mean() > 28  # looking up, things sink
-
-
-def test_normals_have_colours(frame):
-    flat = normal_colours(torch.tensor([[[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]]))
-    assert flat[0].tolist() == [[128, 128, 0], [0, 0, 0], [255, 128, 128]]
-    picture = point_view(frame, frame.T_WC, show="normals")
-    assert picture[5, 5].tolist() == [128, 128, 0]
-    with pytest.raises(ValueError, match="one of colour, depth, normals"):
-        point_view(frame, frame.T_WC, show="curvature")  # pyright: ignore[reportArgumentType]
-
-
-def test_the_panel_turns_the_camera_and_says_what_is_shown(frame):
-    panel = point_panel(frame)
-    before = panel.picture()
-    panel.controls["turn_deg"].value = 16.0
-    assert (panel.picture() != before).any()
-    assert "no point on" in panel.caption.value
-    for show, words in (("depth", " m, red "), ("normals", "x, y, z"), ("colour", "no point on")):
-        assert words in panel.set(show=show).caption.value
-
-
 def test_a_click_on_the_frame_lifts_its_pixel(frame):
     panel = point_panel(frame)
     W, H = frame.camera.width, frame.camera.height
@@ -94,3 +72,21 @@ def test_a_click_on_the_frame_lifts_its_pixel(frame):
     place, words = pixel_story(frame, frame.T_WC, W // 2, H // 2)
     assert place == pytest.approx((W // 2 + 0.5, H // 2 + 0.5), abs=1e-3)
     assert "no depth" not in words
+
+
+def agreeing(panel) -> int:
+    return int(re.findall(r"<b>(\d+)%</b>", panel.caption.value)[0])
+
+
+def test_the_true_repair_is_the_best(tmp_path):
+    made = HandHeld(n_images=8, width=48, height=36, noise="none", images_per_walk=300)
+    recording = tum(write_hand_held(tmp_path / "hand_held", made), camera=made.camera)
+    panel = repair_panel(recording, 0, 2)
+    as_read = agreeing(panel)
+    panel.set(depth_factor=5.0, pose_shift=1.5)
+    assert agreeing(panel) > max(70, as_read + 30)
+    picture = panel.picture()
+    panel.set(right_px=5.0, down_px=-3.0)
+    assert (panel.picture() != picture).any()
+    with pytest.raises(IndexError, match="second must be below"):
+        repair_panel(recording, 0, 99)

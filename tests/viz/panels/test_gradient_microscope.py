@@ -82,16 +82,6 @@ def test_one_pixel_against_autograd(generator):
     torch.testing.assert_close(g.v_alpha, alpha.grad, rtol=1e-4, atol=1e-5)
 
 
-def test_rows_that_are_not_in_the_picture_are_refused(generator):
-    splats = project_splats(random_map(4, generator), CAMERA, EYE)
-    with pytest.raises(ValueError, match=r"row must be 0..3, got 4"):
-        gaussian_gradient(splats, torch.zeros(24, 32, 3), 4)
-    behind = random_map(1, generator)
-    behind = GaussianParams(**(vars(behind) | {"xyz_W": torch.tensor([[0.0, 0.0, -1.0]])}))
-    with pytest.raises(ValueError, match="Gaussian 0 is not in the picture"):
-        gaussian_gradient(project_splats(behind, CAMERA, EYE), torch.zeros(24, 32, 3), 0)
-
-
 def one_dot():
     """A grey dot in the middle, which the pixels want white."""
     return GaussianParams(
@@ -132,12 +122,3 @@ def test_a_click_and_the_switch_change_what_is_shown(generator):
     assert m.look_at(20, 20).of_pixel.stack.u == 20
     with pytest.raises(KeyError, match="pick"):
         m.pick = "tile"
-
-
-def test_the_field_belongs_to_the_heaviest(generator):
-    m = microscope(generator).look_at(16, 12)
-    stack = m.of_pixel.stack
-    assert m.row == int(stack.row[stack.weight.argmax()])
-    field = m.of_gaussian
-    assert field is not None
-    torch.testing.assert_close(field.v_uv.sum((0, 1)), m.total.uv[m.row], rtol=1e-3, atol=1e-8)

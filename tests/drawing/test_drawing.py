@@ -1,4 +1,4 @@
-"""Pictures: types, sizes, colours by hand, and inputs left alone."""
+"""Pictures, small graphs and HTML: types, sizes, colours by hand, escaped texts."""
 
 import math
 from types import SimpleNamespace
@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 import torch
 from jaxtyping import TypeCheckError
+from jinja2 import UndefinedError
+from markupsafe import Markup
 
 from gsfusion_nb.drawing import curves, pictures
+from gsfusion_nb.drawing.curves import PALETTE, small_curves
+from gsfusion_nb.drawing.page import fill, html_table
 from gsfusion_nb.drawing.pictures import BETWEEN, CARD, CARD_INK, LABEL_PX, encode_drawing, on_card, side_by_side
 
 
@@ -42,16 +46,6 @@ def test_depth_colours_run_from_near_to_far_and_missing_is_grey():
     assert far[0] > far[2] + 100  # red
     with pytest.raises(ValueError, match="far_m must be above near_m"):
         pictures.colour_depth(depth, 2.0, 2.0)
-
-
-def test_a_pair_shares_its_range_and_missing_depth_does_not_count():
-    a, b = torch.full((10, 10), 1.0), torch.full((10, 10), 3.0)
-    a[0] = 0.0
-    assert pictures.depth_range_m(a, b) == (1.0, 3.0)
-    assert pictures.depth_range_m(torch.zeros(3, 3)) == (0.0, 1.0)
-    near, far = pictures.depth_range_m(torch.full((3, 3), 2.0))
-    assert near == 2.0
-    assert far > near
 
 
 def test_error_maps_by_hand():
@@ -103,15 +97,6 @@ def test_side_by_side_fits_heights_and_labels():
         side_by_side([a, b], ["one"])
 
 
-def test_encoding_keeps_channel_order():
-    red = torch.zeros(16, 16, 3)
-    red[..., 0] = 1.0
-    assert decoded(pictures.encode_png(red))[0, 0].tolist() == [255, 0, 0]
-    assert np.abs(decoded(pictures.encode_jpeg(red))[8, 8].astype(int) - [255, 0, 0]).max() < 8
-    assert pictures.data_uri(red, "png").startswith("data:image/png;base64,")
-    assert len(pictures.encode_jpeg(torch.rand(64, 64, 3), 30)) < len(pictures.encode_jpeg(torch.rand(64, 64, 3), 95))
-
-
 def test_curve_figure_has_labels_a_legend_and_no_pyplot():
     import sys
 
@@ -151,3 +136,41 @@ def test_a_drawing_gets_a_transparent_ground_or_the_card():
     assert card[:, 0].tolist()[3] == list(CARD)
     assert card[0, 0].tolist() == list(CARD_INK)
     assert card[1, 0].tolist() == [61, 133, 198]
+
+
+BLUE = np.array([int(PALETTE[0][i : i + 2], 16) for i in (1, 3, 5)])
+
+
+def line_columns(image):
+    return np.nonzero((np.abs(image.astype(int) - BLUE).sum(-1) < 60).any(0))[0]
+
+
+def test_the_line_rises_and_fills_as_much_as_is_done():
+    image = small_curves({"a": [0, 1, 2, 3, 4]}, n_x=9, width=200, height=80, scale=1)
+    columns = line_columns(image)
+    assert columns.min() == pytest.approx(52, abs=3)
+    assert columns.max() == pytest.approx(52 + (190 - 52) / 2, abs=4)
+    rows = [
+        np.nonzero(np.abs(image[:, c].astype(int) - BLUE).sum(-1) < 60)[0].mean() for c in (columns[3], columns[-4])
+    ]
+    assert rows[0] > rows[1] + 20
+
+
+def test_nan_leaves_a_gap():
+    values = [1.0] * 10 + [math.nan] * 10 + [2.0] * 10
+    columns = line_columns(small_curves({"a": values}, n_x=30, width=200, height=80, scale=1))
+    assert np.diff(columns).max() > 30
+
+
+def test_texts_are_escaped_and_markup_is_not():
+    html = html_table([("<a>", Markup("<b>x</b>"))], heads=("1 < 2", "&"))
+    assert "&lt;a&gt;" in html
+    assert "<b>x</b>" in html
+    assert "1 &lt; 2" in html
+    assert "&amp;" in html
+    assert "<a>" not in html
+
+
+def test_a_value_that_is_not_given_is_an_error():
+    with pytest.raises(UndefinedError, match="'verdict' is undefined"):
+        fill("verdict.html", colour="red")
