@@ -4,7 +4,6 @@ The browser draws (``static/``): with WebGL2 where there is a graphics card, els
 Rows are sent as binary messages and are not part of the widget's state, so a saved notebook does not hold the map.
 """
 
-import base64
 import logging
 import threading
 import time
@@ -21,10 +20,10 @@ from torch import Tensor
 
 from ..checks import check_name, check_pose
 from ..constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
-from ..drawing.pictures import Picture, encode_png, to_uint8
+from ..drawing.pictures import Picture, to_uint8
 from ..geometry.upright import world_up
 from ..types import Camera, GaussianParams, RenderOutput
-from .display import front_end, source, static_views, synced
+from .display import Bundle, front_end, source, static_views, synced, with_picture
 from .map_pictures import PALETTES, Paint, depth_picture, map_picture, palette
 from .splat_rows import (
     Column,
@@ -260,19 +259,12 @@ class SplatViewer(anywidget.AnyWidget):
     def __repr__(self) -> str:
         return f"SplatViewer({len(self._params):,} Gaussians, {self.width}x{self.height})"
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
-        picture = {
-            "image/png": base64.b64encode(encode_png(self.picture(), 9)).decode("ascii"),
-            "text/plain": repr(self),
-        }
-        shown = "in their colours" if self.colour_by == "rgb" else f"coloured by {self.colour_by}"
-        words = {"image/png": {"alt": f"A map of {len(self._params):,} Gaussians, {shown}"}}
-        if static_views():
-            return picture, words
-        self._displayed = True
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         live: Any = super()._repr_mimebundle_(**kwargs)
-        data, metadata = live if isinstance(live, tuple) else (live or {}, {})
-        return {**data, **picture}, {**metadata, **words}
+        self._displayed = self._displayed or not static_views()
+        shown = "in their colours" if self.colour_by == "rgb" else f"coloured by {self.colour_by}"
+        alt = f"A map of {len(self._params):,} Gaussians, {shown}"
+        return with_picture(live[0] if isinstance(live, tuple) else live, self.picture(), repr(self), alt=alt)
 
     @t.validate("background")
     def _check_background(self, proposal: Any) -> str:

@@ -1,7 +1,7 @@
 """A panel of a trace: a slider over everything that happened to a pixel, a voxel or a Gaussian, forwards and back."""
 
 import threading
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,25 +20,6 @@ WIDTH_PX = 440
 _TILE, _CELL = (64, 156, 255), (255, 80, 80)
 
 
-@runtime_checkable
-class Story(Protocol):
-    """What the panel reads of the answer of a trace."""
-
-    @property
-    def moments(self) -> tuple[Any, ...]:
-        """What happened, in order. Each has ``title``, ``lines()``, ``source_line()``, ``image``, ``marks``."""
-        ...
-
-
-@runtime_checkable
-class Tracer(Protocol):
-    """What the panel asks: ``gsfusion_nb.course.trace.Trace``."""
-
-    def pixel(self, u: int, v: int) -> Any: ...
-    def voxel(self, x: int, y: int, z: int) -> Any: ...
-    def gaussian(self, row: int | None = None, *, id: int | None = None) -> Any: ...
-
-
 class TracePanel:
     """Everything that happened to one pixel, Gaussian or voxel: a slider over the moments, a picture, numbers, code.
 
@@ -49,14 +30,15 @@ class TracePanel:
     ``look_at(voxel=(x, y, z))``, and ``go_to(k)``. ``story`` is what is shown.
 
     Args:
-        trace: The ``Trace`` of a mapper.
+        trace: The ``gsfusion_nb.course.trace.Trace`` of a mapper. Its answers are stories with ``moments``, in
+            order; each has ``title``, ``lines()``, ``source_line()``, ``image`` and ``marks``.
         what: As for ``look_at``; the pixel in the middle of the first picture by default.
 
     Raises:
         ValueError: nothing was recorded yet.
     """
 
-    def __init__(self, trace: Tracer, **what: Any):
+    def __init__(self, trace: Any, **what: Any):
         self.trace = trace
         self._lock = threading.RLock()  # callbacks may come from another thread than the cells
         self._quiet = False
@@ -72,7 +54,7 @@ class TracePanel:
         gaussian: int | None = None,
         id: int | None = None,
         voxel: tuple[int, int, int] | None = None,
-    ) -> Story:
+    ) -> Any:
         """Follow a pixel (u, v), the Gaussian in a row of the map, the one with a number, or a voxel.
 
         Raises:
@@ -94,7 +76,7 @@ class TracePanel:
             raise ValueError(f"nothing is recorded of {name}: map a frame while the trace is open")
         return self.show_story(story, name, self.slider.value)
 
-    def show_story(self, story: Story, name: str, k: int) -> Story:
+    def show_story(self, story: Any, name: str, k: int) -> Any:
         """Show moment ``k`` of a story that the trace told before, and its name; the last one for larger numbers."""
         with self._lock:
             self.story, self.name = story, name
