@@ -14,6 +14,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -70,7 +71,7 @@ def _load(path: Path) -> dict[str, ndarray] | None:
 
     try:
         with np.load(io.BytesIO(read_bytes(path, "cached arrays")), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+            arrays: dict[str, Any] = {name: archive[name] for name in archive.files}
         arrays = {k: cv2.imdecode(v, cv2.IMREAD_UNCHANGED) if v.dtype == np.uint8 else v for k, v in arrays.items()}
         if any(v is None for v in arrays.values()):
             raise ValueError("a picture is not a PNG")

@@ -72,7 +72,7 @@ class CheckupReport:
     @property
     def verdict(self) -> Verdict:
         """The worst verdict of all findings."""
-        return max((f.verdict for f in self.findings), key=RANK.__getitem__, default="ok")
+        return max(self.findings, key=lambda f: RANK[f.verdict]).verdict if self.findings else "ok"
 
     @property
     def ok(self) -> bool:
