@@ -17,7 +17,6 @@ from gsfusion_nb.config import gsfusion, to_dict
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/teaching").glob("*.md"),
                 *(ROOT / "docs/measured").glob("*.md")])  # fmt: skip
-LINKED = [*PAGES, *sorted((ROOT / "docs/teaching/quiz").glob("*.md"))]
 COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "export", "lab", "sweep", "study", "bench", "doctor",
             "course", "grade")  # fmt: skip
 OTHER_PROGRAMS = (
@@ -112,7 +111,7 @@ def test_the_readme_is_short():
     assert len(text(ROOT / "README.md").splitlines()) < 150
 
 
-@pytest.mark.parametrize("page", LINKED, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_and_images_lead_somewhere(page):
     for target in LINK.findall(BLOCK.sub("", text(page))):
         if "://" in target:
@@ -126,14 +125,11 @@ def test_links_and_images_lead_somewhere(page):
 def test_every_page_is_in_the_index():
     index = text(ROOT / "docs/index.md")
     teaching = text(ROOT / "docs/teaching/index.md")
-    quiz = text(ROOT / "docs/teaching/quiz.md")
     measured = text(ROOT / "docs/measured/index.md")
     assert "(teaching/index.md)" in index
     assert "(measured/index.md)" in index
-    for page in LINKED:
-        if page.parent.name == "quiz":
-            assert f"(quiz/{page.name})" in quiz, f"{page.name} is not in docs/teaching/quiz.md"
-        elif page.parent == ROOT / "docs/measured":
+    for page in PAGES:
+        if page.parent == ROOT / "docs/measured":
             assert page.name == "index.md" or f"({page.name})" in measured, (
                 f"{page.name} is not in docs/measured/index.md"
             )

@@ -15,7 +15,7 @@ import random
 import re
 import textwrap
 import tokenize
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -319,14 +319,15 @@ class Question:
     """What came back, and what was expected."""
 
 
-def bank(notebooks: Path) -> list[Question]:
-    """All questions, in the order in which the notebooks ask for the functions."""
+def bank(notebooks: Path, chapters: Collection[int] | None = None) -> list[Question]:
+    """All questions, or those of some chapters, in the order in which the notebooks ask for the functions."""
     tasks = tasks_of(notebooks)
     every = exercises()
     names = [name for name in tasks if name in every] + [name for name in every if name not in tasks]
     return [
         question(every[name], number, tasks.get(name, ""))
         for name in sorted(names, key=lambda name: every[name].chapter)
+        if chapters is None or every[name].chapter in chapters
         for number in range(1, len(every[name].wrong) + 1)
     ]
 

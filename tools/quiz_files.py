@@ -143,16 +143,14 @@ def main(arguments: list[str] | None = None) -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="Write the bank of quiz questions.")
     parser.add_argument("notebooks", type=Path, help="folder of notebooks")
-    parser.add_argument("pages", type=Path, help="folder for the Markdown pages")
-    parser.add_argument("imports", type=Path, help="folder for Moodle XML and text2qti")
+    parser.add_argument("out", type=Path, help="folder for Markdown pages, Moodle XML and text2qti")
     options = parser.parse_args(arguments)
     questions = bank(options.notebooks)
-    for folder, files in ((options.pages, pages(questions)), (options.imports, imports(questions))):
-        for name, text in files.items():
-            with atomic_file(folder / name) as temporary:
-                temporary.write_text(text, encoding="utf-8")
-        log.info("wrote %d files to %s", len(files), folder)
-    log.info("%d questions", len(questions))
+    files = pages(questions) | imports(questions)
+    for name, text in files.items():
+        with atomic_file(options.out / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    log.info("%d questions in %d files in %s", len(questions), len(files), options.out)
 
 
 if __name__ == "__main__":

@@ -251,11 +251,14 @@ def book_site(tmp_path_factory) -> Path:
     """The web book: that of $GSNB_BOOK, or one that is built without recorded views."""
     from book.assemble import Settings
     from book.build import build
+    from quiz import bank
+    from quiz_files import pages
 
     if ready := os.environ.get("GSNB_BOOK"):
         return Path(ready).resolve()
     out = tmp_path_factory.mktemp("book") / "site"
-    assert build(_PROJECT, out, Settings(), views=()) == []
+    quiz = pages(bank(_PROJECT / "notebooks", chapters=[0]))
+    assert build(_PROJECT, out, Settings(), views=(), quiz=quiz) == []
     return out
 
 

@@ -5,6 +5,9 @@ import logging
 import sys
 from pathlib import Path
 
+from quiz import bank
+from quiz_files import pages
+
 from .assemble import read_settings
 from .build import build, missing
 
@@ -26,7 +29,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         settings = read_settings(_ROOT / "docs/book/book.toml", options.repository)
         views = None if options.views is None else [name for name in options.views.split(",") if name]
-        wrong = build(_ROOT, options.out, settings, views=views)
+        quiz = pages(bank(_ROOT / "notebooks"))
+        wrong = build(_ROOT, options.out, settings, views=views, quiz=quiz)
     except (RuntimeError, ValueError, OSError) as e:
         logging.error("%s", e)
         return 1

@@ -8,7 +8,7 @@ import posixpath
 import re
 import shutil
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.util import resolve_name
@@ -124,7 +124,7 @@ def with_answers(questions: str, answers: str) -> str:
     def form(match: re.Match[str]) -> str:
         name, asked, options = match.groups()
         if name not in known:
-            raise ValueError(f"answers.md has no answer to {name}; run: make quiz")
+            raise ValueError(f"answers.md has no answer to {name}")
         letter, said = known[name]
         rows = "".join(
             f'<label><input type="radio" name="{name}" value="{key}"><span>{key}. {inline(text)}</span></label>'
@@ -212,6 +212,8 @@ def api_index() -> str:
     )
 
 
+QUIZ = "docs/teaching/quiz"
+"""Where the book has the pages of questions, which are made when it is built."""
 ARCHIVE = "gsfusion_nb_book.zip"
 """Name of the file with the whole site."""
 _PICTURES = (".jpg", ".png", ".svg")
@@ -228,12 +230,21 @@ class Assembly:
         pages: Folder for the pages; emptied first.
         extra: Folder for other files of the site; emptied first.
         views: The recorded views.
+        quiz: Pages of questions, and ``answers.md``, by file name.
     """
 
     def __init__(
-        self, places: Places, settings: Settings, pages: Path, extra: Path, views: Views = lambda _page, _cell: None
+        self,
+        places: Places,
+        settings: Settings,
+        pages: Path,
+        extra: Path,
+        views: Views = lambda _page, _cell: None,
+        quiz: Mapping[str, str] | None = None,
     ):
-        self.places, self.settings, self.pages, self.extra, self.views = places, settings, pages, extra, views
+        self.quiz = {f"{QUIZ}/{name}": text for name, text in (quiz or {}).items()}
+        self.places = dataclasses.replace(places, files=places.files | frozenset(self.quiz))
+        self.settings, self.pages, self.extra, self.views = settings, pages, extra, views
 
     def write(self) -> None:
         """Write all of them."""
@@ -264,11 +275,9 @@ class Assembly:
         self._put(self.extra / path, notebook.read_bytes())
 
     def _page(self, path: str) -> None:
-        text = (self.places.root / path).read_text(encoding="utf-8")
-        folder, _, name = path.rpartition("/")
-        if folder.endswith("/quiz") and name.startswith("chapter_"):
-            answers = (self.places.root / folder / "answers.md").read_text(encoding="utf-8")
-            text = with_answers(text, answers)
+        text = self.quiz.get(path) or (self.places.root / path).read_text(encoding="utf-8")
+        if path in self.quiz and not path.endswith("/answers.md"):
+            text = with_answers(text, self.quiz[f"{QUIZ}/answers.md"])
         self._put(self.pages / path, in_the_book(text, path, self.places))
 
     def _index(self) -> None:
@@ -276,7 +285,10 @@ class Assembly:
         text = (self.places.root / "docs/book/index.md").read_text(encoding="utf-8")
         listed = {line.strip() for line in text.splitlines()}
         ours = [p.removesuffix(".md") for p in sorted(self.places.files) if self.places.is_page(p)]
-        loose = [p for p in ours if p.startswith("docs/") and p not in listed and "/quiz/chapter_" not in p]
+        loose = [p for p in ours if p.startswith("docs/") and p not in listed and not p.startswith(QUIZ)]
+        chapters = sorted(path.removesuffix(".md") for path in self.quiz if not path.endswith("/answers.md"))
+        toctree = ["```{toctree}", ":caption: Quiz", ":maxdepth: 1", "", *chapters, f"{QUIZ}/answers", "```"]
+        text = text.replace("{{quiz}}", "\n".join(toctree) if chapters else "")
         loose = [p for p in loose if p != "docs/index"]
         text = text.replace("docs/book\n```", "\n".join(["docs/book", *loose, "docs/index"]) + "\n```")
         size = f"[Download the whole book]({ARCHIVE}): a folder to read without internet; open its `index.html`."

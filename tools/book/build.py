@@ -10,7 +10,7 @@ import sys
 import time
 import urllib.parse
 import zipfile
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from html import escape
 from html.parser import HTMLParser
 from importlib.resources import files
@@ -150,7 +150,14 @@ def missing() -> list[str]:
     return [name for name in NEEDED if find_spec(name) is None]
 
 
-def build(root: Path, out: Path, settings: Settings, *, views: Collection[str] | None = None) -> list[str]:
+def build(
+    root: Path,
+    out: Path,
+    settings: Settings,
+    *,
+    views: Collection[str] | None = None,
+    quiz: Mapping[str, str] | None = None,
+) -> list[str]:
     """Build the book.
 
     Args:
@@ -158,6 +165,7 @@ def build(root: Path, out: Path, settings: Settings, *, views: Collection[str] |
         out: The site; replaced. Work is kept in the folder ``.OUT_work`` beside it.
         settings: Of the book.
         views: Chapters whose live views are recorded ("03"), all by default; the others have their stored pictures.
+        quiz: Pages of questions, and ``answers.md``, by file name; none by default.
 
     Returns:
         A sentence for each link that leads nowhere.
@@ -174,7 +182,7 @@ def build(root: Path, out: Path, settings: Settings, *, views: Collection[str] |
     recorded = [path for path in chapters if views is None or path.name[:2] in views]
     listed = record_all(recorded, root / "docs/book/views.toml", work / "views")
     pages, extra, static = work / "pages", work / "extra", work / "static"
-    Assembly(places, settings, pages, extra, lambda page, cell: view_html(listed, page, cell)).write()
+    Assembly(places, settings, pages, extra, lambda page, cell: view_html(listed, page, cell), quiz).write()
     put_views(listed, work / "views", extra)
     _write_static(static)
     _sphinx(root, pages, extra, static, work / "doctrees", out, settings)
