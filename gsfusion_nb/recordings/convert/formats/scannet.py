@@ -167,21 +167,11 @@ def read_sens(path: Path, options: ConvertOptions) -> Recording:
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         with open_regular(path, "a ScanNet .sens file") as file:
-            size = os.fstat(file.fileno()).st_size
             file.seek(header.frames_at)
             for i in range(header.n_frames):
-                head = file.read(_FRAME.size)
-                if len(head) < _FRAME.size:
-                    raise SequenceError(
-                        f"{path} is truncated: it ends at frame {i} of {header.n_frames}; download it again"
-                    )
-                *pose, colour_us, _, colour_bytes, depth_bytes = _FRAME.unpack(head)
+                *pose, colour_us, _, colour_bytes, depth_bytes = _FRAME.unpack(read_exactly(file, _FRAME.size, path))
                 source = f"{path} frame {i}"
-                if colour_bytes + depth_bytes > size - file.tell():
-                    raise SequenceError(
-                        f"{path} is truncated: it ends at frame {i} of {header.n_frames}; download it again"
-                    )
-                data = file.read(colour_bytes), file.read(depth_bytes)
+                data = read_exactly(file, colour_bytes, path), read_exactly(file, depth_bytes, path)
                 yield RecordedFrame(
                     source=source,
                     time_s=colour_us / 1e6 if colour_us else i / FRAMES_PER_S,
