@@ -206,7 +206,7 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
                 return leaves(json.loads(done.stdout.strip().splitlines()[-1]))
             if what == "offset":
                 return of_an_offset(done.stdout)
-        if what == "sweep":
+        if what in ("sweep", "study") and (out / "runs.csv").is_file():
             rows = csv.DictReader((out / "runs.csv").read_text(encoding="utf-8").splitlines())
             return [
                 {k.removeprefix("metric."): float(t) if NUMBER.fullmatch(t) else t for k, t in r.items()} for r in rows

@@ -282,20 +282,15 @@ def _lab(arguments: list[str]) -> int:
 
 
 def _sweep(arguments: list[str]) -> int:
-    from ..compare import sweep
+    from ..compare import studies
 
-    options = parse_options(sweep.SweepOptions, prog="gsfusion-nb sweep", arguments=arguments)
-    if options.table == "rtg-fig-7":
-        from ..compare import study
-
-        return study.main(study.StudyOptions(name="disc-depth", data=options.data, out=options.out))
-    return sweep.main(options)
+    return studies.sweep(parse_options(studies.SweepOptions, prog="gsfusion-nb sweep", arguments=arguments))
 
 
 def _study(arguments: list[str]) -> int:
-    from ..compare import study
+    from ..compare import studies
 
-    return study.main(parse_options(study.StudyOptions, prog="gsfusion-nb study", arguments=arguments))
+    return studies.study(parse_options(studies.StudyOptions, prog="gsfusion-nb study", arguments=arguments))
 
 
 def _course(arguments: list[str]) -> int:

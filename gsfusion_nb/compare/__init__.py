@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .entries import Entrant as Entrant
     from .entries import entries_of as entries_of
-    from .leaderboard import compare_rules as compare_rules
     from .live_table import LiveTable as LiveTable
     from .one_run import run_spec as run_spec
+    from .results import compare_rules as compare_rules
     from .spec import Budget as Budget
     from .spec import RunResult as RunResult
     from .spec import RunSpec as RunSpec
@@ -21,7 +21,7 @@ _LAZY = {
     "RunResult": ".spec",
     "RunSpec": ".spec",
     "compare": ".statistics",
-    "compare_rules": ".leaderboard",
+    "compare_rules": ".results",
     "entries_of": ".entries",
     "run_spec": ".one_run",
 }

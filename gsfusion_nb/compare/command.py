@@ -1,10 +1,8 @@
 """``gsfusion-nb lab``: a comparison from a file, with all its outputs in a folder."""
 
-import dataclasses
-import statistics
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -15,11 +13,10 @@ from ..backends import from_environment, use_backend
 from ..files import write_file
 from ..runs.run_folder import RunFolder
 from .executors import RUN_LIMIT_S, NoWorkerError, executor
-from .map_scene import Entry, budgeted, map_scene
-from .outputs import write_outputs, write_records
+from .map_scene import Entry
+from .outputs import write_outputs
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec, data_seen_once
-from .statistics import FIRST_METRIC, group_runs
 from .table_file import EXAMPLE, Table, read_table
 from .tune import is_tuned
 
@@ -27,8 +24,6 @@ RENEW_S = 30.0
 """Seconds between two writings of the tables while runs are done."""
 TUNED_RUNS = 4.0
 """Work of a run whose size is tuned, in runs."""
-WHOLE_RUN = 2.0
-"""Time of a run in that of its mapping: passes after the scan, and scores."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,28 +94,26 @@ def run_and_write(specs: Sequence[RunSpec], folder: Path, options: WhereOptions,
 def _run_and_write(specs: Sequence[RunSpec], store: ResultStore, options: WhereOptions, table: Table | None) -> int:
     results: dict[int, RunResult] = {}
     began, interrupted, lost, renewed_s = time.perf_counter(), False, "", time.perf_counter()
-    folder, text = store.folder, table.text if table else ""
-    work = _Work(specs, store)
-    print(work.estimate(options.jobs))
+    folder = store.folder
+    todo = {i: TUNED_RUNS if is_tuned(spec) else 1.0 for i, spec in enumerate(specs) if store.find(spec) is None}
+    all_work = sum(todo.values())
+    print(f"{len(specs) - len(todo)} of {len(specs)} runs are known already")
     try:
         with executor(options.jobs, options.dask, 60 * options.run_limit_min) as where:
             for i, result in run_all([Entry(spec=spec) for spec in specs], store, where):
                 results[i] = result
-                left = work.left(i, time.perf_counter() - began)
+                todo.pop(i, None)
+                left = _left(sum(todo.values()), all_work, time.perf_counter() - began)
                 print(f"[{len(results):3d}/{len(specs)}] {describe(result)}{left}", flush=True)
-                write_records(folder, in_order(results), text=text)
                 if len(results) < len(specs) and time.perf_counter() - renewed_s > RENEW_S:
                     write_outputs(folder, in_order(results), table, pictures=False)
                     renewed_s = time.perf_counter()
-                if line := work.finished(i, results):
-                    print(line, flush=True)
     except KeyboardInterrupt:
         interrupted = True
     except NoWorkerError as e:
         lost = f"error: {e}"
     done = in_order(results)
     if done:
-        write_records(folder, done, text=text)
         write_outputs(folder, done, table)
         print(f"\n{(folder / 'table.md').read_text(encoding='utf-8')}")
     failed = sum(result.status == "failed" for result in done)
@@ -138,78 +131,13 @@ def _run_and_write(specs: Sequence[RunSpec], store: ResultStore, options: WhereO
     return 1 if failed or lost else 0
 
 
-class _Work:
-    """How much work the runs are: mapped pixels, several times as many where a budget is tuned."""
-
-    def __init__(self, specs: Sequence[RunSpec], store: ResultStore):
-        self._specs = specs
-        self._frames: dict[tuple[str, str], float] = {}
-        self._left: dict[int, float] = {}
-        for i, spec in enumerate(specs):
-            if store.find(spec) is None:
-                self._left[i] = self._of(spec)
-        self._all = sum(self._left.values())
-
-    def _of(self, spec: RunSpec) -> float:
-        place = (spec.scene, str(spec.settings))
-        if place not in self._frames:
-            try:
-                frames = Entry(spec=spec).opened()
-                self._frames[place] = float(len(frames.mapping)) * frames.camera.width * frames.camera.height
-            except Exception:  # the run will say why it failed
-                self._frames[place] = 1.0
-        return self._frames[place] * (TUNED_RUNS if is_tuned(spec) else 1)
-
-    def estimate(self, jobs: int) -> str:
-        """How long it will take, from the first frames of the first run with a simple rule."""
-        known = len(self._specs) - len(self._left)
-        words = f"{known} of {len(self._specs)} runs are known already" if known else f"{len(self._specs)} runs to do"
-        if not self._left:
-            return words
-        first = self._specs[next(iter(self._left))]
-        entry = Entry(spec=dataclasses.replace(first, rule="uniform", options={}, rule_source="", rule_hash=""))
-        try:
-            seconds = seconds_per_frame(entry)
-            camera = entry.opened().camera
-        except Exception as e:  # the run will say it again, with its rule
-            return f"{words}; the time could not be estimated: {e}"
-        minutes = WHOLE_RUN * seconds * self._all / (camera.width * camera.height) / max(jobs, 1) / 60
-        span = f"about {_minutes(minutes / 2)} to {_minutes(2 * minutes)}"
-        return f"{words}; {span} on this machine, with --jobs {max(jobs, 1)}"
-
-    def left(self, i: int, elapsed_s: float) -> str:
-        """How long the rest will take, judged by what is done."""
-        self._left.pop(i, None)
-        left = sum(self._left.values())
-        if not self._left or left >= self._all:
-            return ""
-        return f"; about {_minutes(elapsed_s * left / (self._all - left) / 60)} left"
-
-    def finished(self, i: int, results: Mapping[int, RunResult]) -> str:
-        """The rules on a scene, best first, when its last run at a budget is done."""
-        spec = self._specs[i]
-        own = [k for k, s in enumerate(self._specs) if (s.scene, s.budget) == (spec.scene, spec.budget)]
-        if not all(k in results for k in own) or len({s.scene for s in self._specs}) < 2:
-            return ""
-        found = sorted(group_runs(results[k] for k in own), key=lambda g: -g.summary(FIRST_METRIC).mean)
-        rows = [f"{g.label} {g.summary(FIRST_METRIC).mean:.2f}" for g in found if g.runs]
-        return f"{spec.scene}, {spec.budget}, is done: {', '.join(rows)} dB"
-
-
-def seconds_per_frame(entry: Entry, n_frames: int = 4) -> float:
-    """Wall time of one mapped frame, mean over the first ``n_frames`` after a warm-up, seconds."""
-    steps, times = map_scene(entry, budgeted(entry.spec), with_memory=False), []
-    began = time.perf_counter()
-    for _ in range(n_frames + 1):
-        if next(steps, None) is None:
-            break
-        times.append(time.perf_counter() - began)
-        began = time.perf_counter()
-    return statistics.fmean(times[1:] or times or [0.0])
-
-
-def _minutes(value: float) -> str:
-    return f"{60 * value:.0f} s" if value < 1.5 else f"{value:.0f} min" if value < 90 else f"{value / 60:.1f} h"
+def _left(work: float | int, of: float | int, elapsed_s: float) -> str:
+    """How long the rest will take, judged by what is done; empty before anything is, and at the end."""
+    if not 0 < work < of:
+        return ""
+    minutes = elapsed_s * work / (of - work) / 60
+    words = f"{60 * minutes:.0f} s" if minutes < 1.5 else f"{minutes:.0f} min"
+    return f"; about {words if minutes < 90 else f'{minutes / 60:.1f} h'} left"
 
 
 def describe(result: RunResult) -> str:

@@ -3,13 +3,13 @@
 import contextlib
 import hashlib
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from ..config import SystemConfig
 from ..data import OpenedSequence, sequence_fingerprint
-from ..errors import SequenceError, shown
+from ..errors import SequenceError
 from ..mapping import get_system, system_of
 from ..seeding import Option, SeedingRule, check_options, rule_name
 from ..seeding.rule_code import find_rule, is_rule_file, read_rule_file
@@ -71,33 +71,9 @@ def check_run(spec: RunSpec, rule: SeedingRule) -> None:
         ValueError: a setting that does not exist, an invalid value, or no option that can be tuned.
     """
     spec.config()
-    if spec.size_range is not None:
-        check_size_range(spec.size_range)
-    for check in RULE_CHECKS.values():
-        check(spec, rule)
-
-
-def check_size_range(given: Sequence[Any]) -> None:
-    """Raise ``ValueError`` unless these are two numbers above 0, the smaller one first."""
-    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in given)
-    if not (numbers and len(given) == 2 and 0 < given[0] < given[1]):
-        raise ValueError(f"expected [smallest, largest], both above 0, got {shown(list(given))}")
-
-
-def _check_options(spec: RunSpec, rule: SeedingRule) -> None:
     check_options(rule, spec.options)
-
-
-def _check_size_option(spec: RunSpec, rule: SeedingRule) -> None:
     if spec.size_option or spec.budget.gaussians is not None:
         start_value(spec, rule, size_option(spec, rule))
-
-
-RULE_CHECKS: Mapping[str, Callable[[RunSpec, SeedingRule], None]] = {
-    "options": _check_options,
-    "size_option": _check_size_option,
-}
-"""Key of a rule in the file of a comparison -> its check; each takes settings that are valid."""
 
 
 def entries_of(

@@ -9,16 +9,17 @@ import threading
 import time
 import uuid
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
 from ..backends import use_backend
+from ..mapping import StepReport
 from ..seeding import SeedingRule, rule_name
 from ..work import Died, WorkerPool, usable_cores
-from .map_scene import Entry, finished
-from .one_run import OnStep, run_entry
+from .map_scene import Entry, OnStep
+from .one_run import run_entry
 from .spec import RunResult, RunSpec, run_key
 from .tune import tune, tuning_spec
 
@@ -85,13 +86,11 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
                 )
             rule = pickle.loads(task.rule) if isinstance(task.rule, bytes) else task.rule
             entry = Entry(spec=task.spec, rule=rule, sequence=task.sequence)
-            return _tune(entry, on_step) if task.kind == "tune" else _run(entry, task, on_step)
+            if task.kind == "tune":
+                return Answer(tuned=tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)), on_step))
+            return _run(entry, task, on_step)
         except Exception as e:  # a user's rule may raise anything
             return Answer(reason=f"{type(e).__name__}: {e}")
-
-
-def _tune(entry: Entry, on_step: OnStep) -> Answer:
-    return Answer(tuned=finished(tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec))), on_step))
 
 
 def _run(entry: Entry, task: Task, on_step: OnStep) -> Answer:
@@ -160,10 +159,10 @@ class _Waiting:
 
 
 class InProcess:
-    """One task after another, in this process."""
+    """One task after another, in this process; ``on_step`` is called with the task before it, and after each frame."""
 
-    def __init__(self):
-        self._tasks = _Waiting()
+    def __init__(self, on_step: "Callable[[Task, StepReport | None], object]" = lambda task, report: None):
+        self._tasks, self._on_step = _Waiting(), on_step
 
     def put(self, number: int, task: Task) -> None:
         """Add a task."""
@@ -172,7 +171,8 @@ class InProcess:
     def get(self) -> tuple[int, Answer]:
         """Do the next task."""
         number, task = self._tasks.popleft()
-        return number, do_task(task)
+        self._on_step(task, None)
+        return number, do_task(task, lambda report: self._on_step(task, report))
 
 
 class InProcesses:

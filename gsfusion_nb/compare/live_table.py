@@ -1,5 +1,6 @@
 """A comparison in a notebook: a table that fills while the runs are done, with buttons, and the pictures of a row."""
 
+import contextlib
 import functools
 import html
 import math
@@ -7,12 +8,11 @@ import threading
 import time
 import weakref
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import anywidget
-import numpy as np
 import traitlets as t
 
 from ..drawing.curves import figure_picture, figure_words
@@ -21,11 +21,11 @@ from ..drawing.pictures import Picture, data_uri
 from ..mapping import StepReport
 from ..viz.display import Bundle, with_picture
 from ..viz.player import Player, player_buttons
-from .executors import Answer, InProcess, do_task, executor
+from .executors import InProcess, Task, executor
 from .map_scene import Entry
-from .outputs import all_tables, write_outputs, write_records
+from .outputs import all_tables, write_outputs
 from .page import views_of
-from .pareto import ParetoPoints, pareto_figure, scene_points
+from .pareto import pareto_figure, scene_points
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec
 from .statistics import Group, group_runs
@@ -39,10 +39,12 @@ class _Stopped(BaseException):
 class LiveRuns(Iterator[RunResult | None]):
     """An iterator over the results of runs; one step does one run, or gives None if it was stopped.
 
+    With one job the runs are done in the thread of the step and wait between two frames while paused.
+
     Args:
         runs: The runs.
         store: Where results are kept.
-        jobs, dask: As for ``executors.executor``; with one job the runs are done in the thread of the step.
+        jobs, dask: As for ``executors.executor``.
         on_frame: Called after each frame, and when a run has paused; only with one job.
     """
 
@@ -50,64 +52,34 @@ class LiveRuns(Iterator[RunResult | None]):
         self, runs: Iterable[Entry | RunSpec], store: ResultStore, *, jobs: int = 1, dask: str = "",
         on_frame: Callable[[], None] = lambda: None,
     ):  # fmt: skip
-        self._entries = [run if isinstance(run, Entry) else Entry(spec=run) for run in runs]
-        self._store, self._jobs, self._dask = store, jobs, dask
+        self.entries = [run if isinstance(run, Entry) else Entry(spec=run) for run in runs]
+        self._store, self._jobs, self._dask, self._on_frame = store, jobs, dask, on_frame
         self._results: dict[int, RunResult] = {}
-        self._inner: Iterator[RunResult] | None = None
-        self._gate = _Gate(on_frame)
+        self._inner: Generator[RunResult, None, None] | None = None
+        self._wish = threading.Condition()
+        self._go, self._stop = True, False
+        self.now = ""
+        """The run that is being done, in words."""
+        self.is_resting = False
+        """Whether a run waits between two frames."""
 
     @property
     def results(self) -> list[RunResult]:
         """Results so far, in the order of the runs."""
         return [result for _, result in sorted(self._results.copy().items())]
 
-    @property
-    def n_runs(self) -> int:
-        """Number of runs, done or not."""
-        return len(self._entries)
-
-    @property
-    def scenes(self) -> list[str]:
-        """Names of the scenes."""
-        return list(dict.fromkeys(entry.spec.scene for entry in self._entries))
-
-    @property
-    def budgets(self) -> list[str]:
-        """Texts of the budgets."""
-        return list(dict.fromkeys(str(entry.spec.budget) for entry in self._entries))
-
-    @property
-    def now(self) -> str:
-        """The run that is being done, in words."""
-        return self._gate.now
-
-    @property
-    def is_resting(self) -> bool:
-        """Whether a run waits between two frames."""
-        return self._gate.is_resting
-
-    def planned(self, scene: str, budget: str) -> Counter[str]:
-        """Label -> number of runs, at one scene and budget."""
-        return Counter(e.spec.label for e in self._entries if (e.spec.scene, str(e.spec.budget)) == (scene, budget))
-
-    def pause(self) -> None:
-        """Wait after the current frame."""
-        self._gate.set(go=False, stop=False)
-
-    def go_on(self) -> None:
-        """Continue after ``pause`` or ``stop``."""
-        self._gate.set(go=True, stop=False)
-
-    def stop(self) -> None:
-        """Give up the current run after the current frame."""
-        self._gate.set(go=False, stop=True)
+    def let(self, *, go: bool, stop: bool = False) -> None:
+        """Let runs go on, or wait after the current frame, or end after it."""
+        with self._wish:
+            self._go, self._stop = go, stop
+            self._wish.notify_all()
 
     def close(self) -> None:
         """Release processes; the next step starts them again."""
         inner, self._inner = self._inner, None
-        if inner is not None and hasattr(inner, "close"):
-            inner.close()  # pyright: ignore
-        self._gate.now = ""
+        if inner is not None:
+            inner.close()
+        self.now = ""
 
     def __next__(self) -> RunResult | None:
         if self._inner is None:
@@ -120,74 +92,31 @@ class LiveRuns(Iterator[RunResult | None]):
                 return None
             raise
 
-    def _rest(self) -> Iterator[RunResult]:
+    def _rest(self) -> Generator[RunResult, None, None]:
         """The runs without a result."""
-        left = [i for i in range(len(self._entries)) if i not in self._results]
-        entries = [self._entries[i] for i in left]
-        if self._jobs == 1 and not self._dask:
-            found = run_all(entries, self._store, _Gated(self._gate))
-            yield from (self._kept(left[i], result) for i, result in found)
-            return
-        with executor(self._jobs, self._dask) as many:
-            yield from (self._kept(left[i], result) for i, result in run_all(entries, self._store, many))
+        left = [i for i in range(len(self.entries)) if i not in self._results]
+        alone = self._jobs == 1 and not self._dask
+        with contextlib.nullcontext(InProcess(self._on_step)) if alone else executor(self._jobs, self._dask) as where:
+            for i, result in run_all([self.entries[i] for i in left], self._store, where):
+                self._results[left[i]] = result
+                yield result
 
-    def _kept(self, i: int, result: RunResult) -> RunResult:
-        self._results[i] = result
-        return result
-
-
-class _Gate:
-    """Where a run waits between two frames."""
-
-    def __init__(self, on_frame: Callable[[], None]):
-        self._on_frame, self._wish = on_frame, threading.Condition()
-        self._go, self._stop = True, False
-        self.is_resting, self.now = False, ""
-
-    def set(self, *, go: bool, stop: bool) -> None:
-        """Let runs go on, wait, or end."""
-        with self._wish:
-            self._go, self._stop = go, stop
-            self._wish.notify_all()
-
-    def pass_by(self) -> None:
+    def _on_step(self, task: Task, report: StepReport | None) -> None:
         """Called between two frames: wait while paused.
 
         Raises:
             _Stopped: the run is to be given up.
         """
-        with self._wish:
-            self.is_resting = not (self._go or self._stop)
-            resting = self.is_resting
+        spec, kind = task.spec, "tuning " if task.kind == "tune" else ""
+        work = "optimising and scoring" if report is None else f"frame {report.frame_index}"
+        self.now = f"{kind}{spec.label}, {spec.scene}, {spec.budget}, seed {spec.seed}, {work}"
+        self.is_resting = not (self._go or self._stop)
         self._on_frame()
-        if resting:
-            with self._wish:
-                self._wish.wait_for(lambda: self._go or self._stop)
-                self.is_resting = False
+        with self._wish:
+            self._wish.wait_for(lambda: self._go or self._stop)
+            self.is_resting = False
         if self._stop:
             raise _Stopped
-
-
-class _Gated(InProcess):
-    """One task after another in this thread, each of which passes the gate between two frames."""
-
-    def __init__(self, gate: _Gate):
-        super().__init__()
-        self._gate = gate
-
-    def get(self) -> tuple[int, Answer]:
-        """Do the next task."""
-        number, task = self._tasks.popleft()
-        kind = "tuning " if task.kind == "tune" else ""
-        place = f"{kind}{task.spec.label}, {task.spec.scene}, {task.spec.budget}, seed {task.spec.seed}"
-
-        def on_step(report: StepReport | None) -> None:
-            work = "optimising and scoring" if report is None else f"frame {report.frame_index}"
-            self._gate.now = f"{place}, {work}"
-            self._gate.pass_by()
-
-        self._gate.now = place
-        return number, do_task(task, on_step)
 
 
 @functools.cache
@@ -276,32 +205,32 @@ class LiveTable:
 
     def start(self) -> None:
         """Run until paused, stopped or done."""
-        self._runs.go_on()
+        self._runs.let(go=True)
         self.player.start()
         self._write_status()
 
     def pause(self) -> None:
         """Pause after the current frame; with several processes, after the current run."""
-        self._runs.pause()
+        self._runs.let(go=False)
         self.player.pause()
         self._write_status()
 
     def step(self) -> None:
         """Do one run, or the rest of the current one."""
-        self._runs.go_on()
+        self._runs.let(go=True)
         self.player.step()
 
     def stop(self) -> None:
         """Give up the current run; ``start`` begins with it again."""
-        self._runs.stop()
+        self._runs.let(go=False, stop=True)
         self.player.stop()
         self._write_status()
 
     def run_sync(self, n: int | None = None) -> int:
         """Do ``n`` runs, or all that are left, in this thread. Returns how many results came."""
-        self._runs.stop()
+        self._runs.let(go=False, stop=True)
         self.player.close()
-        self._runs.go_on()
+        self._runs.let(go=True)
         before = len(self.results)
         self.player.run_sync(n)
         return len(self.results) - before
@@ -317,24 +246,21 @@ class LiveTable:
 
     def table(self) -> ResultTable:
         """The table that is shown."""
-        groups = self._shown()
-        title = f"{self.scene.value}, {self.budget.value}"
-        return scene_table(groups, title=title)
+        return scene_table(self._shown(), title=f"{self.scene.value}, {self.budget.value}")
 
     def figure(self) -> Any:
         """The Pareto plot of the scene and budget shown: quality over size, or where the budget gives every rule
         the same size, over the time per frame."""
         groups = self._shown()
-        nothing = ParetoPoints(names=[], cost=np.zeros(0), quality=np.zeros(0))
         cost = "ms_per_frame" if any(group.fixes_cost for group in groups) else "n_gaussians"
-        return pareto_figure(scene_points(groups, cost) if groups else nothing)
+        return pareto_figure(scene_points(groups, cost))
 
     def picture(self) -> Picture:
         """The Pareto plot as an image."""
         return figure_picture(self.figure())
 
     def write(self, folder: str | Path | None = None) -> list[Path]:
-        """Write what ``gsfusion-nb lab`` writes about the results so far: ``write_records`` and ``write_outputs``.
+        """Write what ``gsfusion-nb lab`` writes about the results so far: ``write_outputs``.
 
         Args:
             folder: Where the files go; into the folder of the results if None.
@@ -342,13 +268,12 @@ class LiveTable:
         Returns:
             The files written.
         """
-        place = Path(folder or self.store.folder)
-        return [*write_records(place, self.results), *write_outputs(place, self.results)]
+        return write_outputs(Path(folder or self.store.folder), self.results)
 
     def __repr__(self) -> str:
         reasons = [reason for *_, reason in failures(self.results)]
         failed = f", {len(reasons)} failed: {reasons[0]}" if reasons else ""
-        return f"LiveTable({len(self.results)} of {self._runs.n_runs} runs{failed})"
+        return f"LiveTable({len(self.results)} of {len(self._runs.entries)} runs{failed})"
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self._show_table()
@@ -387,7 +312,8 @@ class LiveTable:
     def _show_table(self) -> None:
         with self._writing:
             place = self._place
-            planned = self._runs.planned(*place)
+            specs = [entry.spec for entry in self._runs.entries]
+            planned = Counter(spec.label for spec in specs if (spec.scene, str(spec.budget)) == place)
             states = {}
             for group in self._shown():
                 n, lost = planned[group.label], len(group.failed)
@@ -428,7 +354,7 @@ class LiveTable:
         """Show the state of now. Called from two threads: who writes last must also be who read the state last."""
         with self._writing:
             state = "paused" if self._runs.is_resting and self.player.state == "running" else self.player.state
-            words = [f"<b>{state}</b>", f"{len(self.results)} of {self._runs.n_runs} runs"]
+            words = [f"<b>{state}</b>", f"{len(self.results)} of {len(self._runs.entries)} runs"]
             if state in ("running", "paused"):
                 words.append(html.escape(self._runs.now))
             error = self.player.error
@@ -441,13 +367,16 @@ class LiveTable:
         import ipywidgets as w
 
         self.buttons = player_buttons(self, "gsnb-lab", self.player)
-        self.progress = w.IntProgress(min=0, max=max(self._runs.n_runs, 1), layout=w.Layout(width="260px"))
+        self.progress = w.IntProgress(min=0, max=max(len(self._runs.entries), 1), layout=w.Layout(width="260px"))
         self.status, self.failed, self.pictures = w.HTML(), w.HTML(), w.HTML()
         self.status.add_class("gsnb-lab-status")
         self.pictures.add_class("gsnb-lab-pictures")
         self.failed.add_class("gsnb-lab-failed")
-        self.scene = w.Dropdown(options=self._runs.scenes, description="Scene")
-        self.budget = w.Dropdown(options=self._runs.budgets, description="Budget", layout=w.Layout(width="360px"))
+        specs = [entry.spec for entry in self._runs.entries]
+        scenes = list(dict.fromkeys(s.scene for s in specs))
+        budgets = list(dict.fromkeys(str(s.budget) for s in specs))
+        self.scene = w.Dropdown(options=scenes, description="Scene")
+        self.budget = w.Dropdown(options=budgets, description="Budget", layout=w.Layout(width="360px"))
         for menu in (self.scene, self.budget):
             menu.observe(lambda _: self._place_changed(), names="value")
         self.widget_table = TableWidget()

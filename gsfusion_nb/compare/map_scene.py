@@ -21,6 +21,7 @@ from ..data.room import RoomSequence
 from ..geometry import project, se3
 from ..mapping import Mapper, StepReport, make_mapper
 from ..runs import MappingRun
+from ..runs.outputs import score
 from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_map_rule, rule_files
 from ..seeding.rule_code import rule_of_source
 from ..types import Camera, Seeds
@@ -129,7 +130,8 @@ def _draw(seeds: Seeds, share: float, generator: torch.Generator) -> Seeds:
     return seeds[drawn.sort().values.to(seeds.xyz_W.device)]
 
 
-S = TypeVar("S")
+OnStep = Callable[[StepReport | None], object]
+"""Called after each piece of work: with the report of a mapped frame, or with None."""
 R = TypeVar("R")
 
 RATE_HZ = 30
@@ -184,6 +186,8 @@ class Mapped:
     """Growth of memory while mapping, MB; None where the system does not report it."""
     notes: list[str]
     """What differs from the other runs of a comparison."""
+    online: dict[str, Any]
+    """Scores before the optimisation after the scan, if the spec asks for them."""
 
     @property
     def seconds(self) -> float:
@@ -192,7 +196,7 @@ class Mapped:
 
 
 def map_scene(
-    entry: Entry, config: SystemConfig, *, with_memory: bool = True
+    entry: Entry, config: SystemConfig, *, scratch: bool = False
 ) -> Generator[StepReport | None, None, Mapped]:
     """Map the frames of ``entry`` with the settings ``config``; yields the report of each frame, then None after each
     step of the optimisation after the scan, and returns the map.
@@ -200,7 +204,7 @@ def map_scene(
     Args:
         entry: The run.
         config: Settings.
-        with_memory: Measure the growth of memory.
+        scratch: A run that is not scored: memory is not measured.
 
     Raises:
         Exception: whatever the rule or the data raises.
@@ -209,7 +213,7 @@ def map_scene(
     config = _paced(config, sequence)
     _warm_up(sequence, config, entry.spec.device)
     memory = PeakMemory("cuda" if entry.spec.device.startswith("cuda") else "cpu")
-    with memory if with_memory else contextlib.nullcontext():
+    with contextlib.nullcontext() if scratch else memory:
         mapper, notes = _mapper(entry, config)
         notes += _asked(mapper, len(sequence.mapping))
         run, cpu_s, n_steps = MappingRun(sequence, mapper), [], 0
@@ -223,6 +227,7 @@ def map_scene(
             cpu_s.append(time.process_time() - began)
             n_steps += report.n_steps
             yield report
+        online = score(run, "_online") if entry.spec.online and not scratch else {}
         for _ in run.optimise():
             n_steps += 1
             yield None
@@ -230,10 +235,10 @@ def map_scene(
     if empty:
         notes.append(f"after {empty} of {len(run.steps)} frames the map was empty, so no gradient steps were taken")
     notes += unseen.note()
-    return Mapped(run=run, n_steps=n_steps, cpu_s=cpu_s, peak_mb=memory.peak_mb, notes=notes)
+    return Mapped(run=run, n_steps=n_steps, cpu_s=cpu_s, peak_mb=memory.peak_mb, notes=notes, online=online)
 
 
-def finished(steps: Generator[S, None, R], on_step: Callable[[S], object] = lambda step: None) -> R:
+def finished(steps: Generator[StepReport | None, None, R], on_step: OnStep = lambda report: None) -> R:
     """What ``steps`` return at their end; ``on_step`` is called with each thing that they yield."""
     while True:
         try:

@@ -5,22 +5,21 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ..data import sequence_fingerprint
 from ..drawing.pictures import encode_png
 from ..errors import SequenceError
-from ..evaluation import ImageScores, NotComputed
+from ..evaluation import ImageScores, NotComputed, frame_rates
 from ..evaluation.image import lpips_unavailable
 from ..files import write_file
-from ..mapping import StepReport
 from ..runs import MappingRun
 from ..runs.outputs import environment, map_hashes, score_mesh, score_trajectory
 from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import rule_source
-from .map_scene import Entry, Mapped, finished, map_scene
+from .map_scene import Entry, Mapped, OnStep, finished, map_scene
 from .spec import LIBRARIES, Budget, RunResult, RunSpec
 from .tune import reach_budget, tune
 
@@ -29,7 +28,6 @@ MOST_PICTURES = 3
 SURFACE_SAMPLES = 50_000
 """Points drawn on each of the two surfaces; with a quarter of those of a single run the numbers differ by 1 %."""
 MOST_MESHES = 100
-OnStep = Callable[[StepReport | None], None]
 _scored_meshes: dict[str, dict[str, Any]] = {}
 """Hashes of the maps that a mesh follows from and of the frames -> its scores."""
 
@@ -53,21 +51,7 @@ def run_entry(
     tuned: Mapping[str, Any] | None = None,
     on_step: OnStep = lambda report: None,
 ) -> RunResult:
-    """``run_spec`` of a run that has objects of this process; ``tuned`` as for ``reach_budget``.
-
-    ``on_step`` is called after each piece of work of ``run_steps``, with what that yields.
-    """
-    return finished(run_steps(entry, folder, tuned), on_step)
-
-
-def run_steps(
-    entry: Entry,
-    folder: Path | None = None,
-    tuned: Mapping[str, Any] | None = None,
-    *,
-    everything: bool = True,
-) -> Generator[StepReport | None, None, RunResult]:
-    """``run_entry`` step by step: yields the report of each frame of the scored run, and None after other work.
+    """``run_spec`` of a run that has objects of this process.
 
     A run that misses its number of Gaussians, because its seed differs from that of the tuning, is tuned once more with
     its own seed.
@@ -76,23 +60,24 @@ def run_steps(
         entry: The run.
         folder: Where pictures are saved; None saves none.
         tuned: What ``tune`` found; see ``reach_budget``.
-        everything: False scores only the held-out views: no mapped views, no mesh.
+        on_step: Called with the report of each frame of the scored run, and with None after other work.
     """
     try:
-        ready = yield from reach_budget(entry, tuned)
-        mapped = yield from map_scene(ready.entry, ready.config)
         budget = entry.spec.budget
+        ready = reach_budget(entry, tuned, on_step)
+        mapped = finished(map_scene(ready.entry, ready.config), on_step)
         if budget.gaussians is not None and _error(mapped, budget) > budget.tolerance:
-            again = yield from tune(ready.entry)
-            ready = yield from reach_budget(entry, again | {"n_runs": again["n_runs"] + ready.tuned["n_runs"]})
-            mapped = yield from map_scene(ready.entry, ready.config)
-        yield None
-        return _result(entry, mapped, ready.tuned | _errors(mapped, budget), folder, everything)
+            again = tune(ready.entry, on_step)
+            again["n_runs"] += ready.tuned["n_runs"]
+            ready = reach_budget(entry, again)
+            mapped = finished(map_scene(ready.entry, ready.config), on_step)
+        on_step(None)
+        return _result(entry, mapped, ready.tuned | _errors(mapped, budget), folder)
     except Exception as e:  # a user's rule may raise anything
         return RunResult(spec=entry.spec, status="failed", reason=f"{type(e).__name__}: {e}")
 
 
-def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | None, everything: bool) -> RunResult:
+def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | None) -> RunResult:
     run, views = mapped.run, scored_views(mapped.run)
     content = entry.spec.content if entry.sequence is not None else sequence_fingerprint(run.sequence)
     if content != entry.spec.content:
@@ -102,17 +87,15 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
         )
     with_lpips = lpips_unavailable() is None
     scores = {
-        name: group.scores(run.mapper.render, run.sequence, with_lpips=with_lpips)
-        for name, group in views.items()
-        if everything or name != "mapped"
+        name: group.scores(run.mapper.render, run.sequence, with_lpips=with_lpips) for name, group in views.items()
     }
-    numbers: dict[str, Any] = {}
+    numbers: dict[str, Any] = dict(mapped.online)
     for name, group in scores.items():
         numbers |= group.as_metrics(name)
     hashes = map_hashes(run)
-    if everything:
-        numbers |= _mesh_numbers(run, hashes, content)
-    numbers |= score_trajectory(run) | _costs(mapped)
+    numbers |= _mesh_numbers(run, hashes, content) | score_trajectory(run) | _costs(mapped)
+    if entry.spec.online:
+        numbers |= _rates(run)
     return RunResult(
         spec=entry.spec,
         status="done",
@@ -178,6 +161,16 @@ def _costs(mapped: Mapped) -> dict[str, Any]:
         "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
         "peak_memory_mb": math.nan if mapped.peak_mb is None else mapped.peak_mb,
     }
+
+
+def _rates(run: MappingRun) -> dict[str, Any]:
+    """Frames per second, of tracking and mapping alone where poses are tracked."""
+    seconds = [s.total_seconds for s in run.steps]
+    tracking = sum(s.seconds.get("tracking", 0.0) for s in run.steps)
+    if not (run.mapper.localiser.is_tracking and tracking):
+        return frame_rates(seconds)
+    n, alone = len(seconds), max(sum(seconds) - tracking, 1e-9)
+    return frame_rates(seconds) | {"fps_tracking": n / tracking, "fps_mapping": n / alone}
 
 
 def versions() -> dict[str, str]:

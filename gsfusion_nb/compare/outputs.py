@@ -22,23 +22,6 @@ from .table_file import Table
 from .tables import ResultTable, as_markdown, failures, latex_file, scene_table, scenes_table
 
 
-def write_records(folder: Path, results: Sequence[RunResult], *, text: str = "") -> list[Path]:
-    """Write ``runs.csv`` and ``provenance.json``, each completely or not at all.
-
-    Args:
-        folder: The output folder.
-        results: The runs so far.
-        text: The file that described them.
-
-    Returns:
-        The files written.
-    """
-    texts = {"runs.csv": as_csv(results), "provenance.json": json.dumps(provenance(results, text), indent=1)}
-    for name, content in texts.items():
-        write_file(folder / name, content)
-    return [folder / name for name in texts]
-
-
 def as_csv(results: Sequence[RunResult]) -> str:
     """A table with a row for each run: what it was, its numbers, how it was tuned, hashes, and all settings."""
     rows = [_row(result) for result in results]
@@ -123,8 +106,8 @@ _PARETO = ("pareto.pdf", "pareto.png")
 def write_outputs(
     folder: Path | str, results: Iterable[RunResult], table: Table | None = None, *, pictures: bool = True
 ) -> list[Path]:
-    """Write ``table.md``, ``table.tex``, ``table.json``, ``page.html``, and the Pareto figure as PDF and PNG, which is
-    left out where every budget fixes size or time.
+    """Write ``runs.csv``, ``provenance.json``, ``table.md``, ``table.tex``, ``table.json``, ``page.html``, and the
+    Pareto figure as PDF and PNG, which is left out where every budget fixes size or time.
 
     Existing files are replaced, each completely or not at all; so it can be called again after every run.
 
@@ -140,6 +123,8 @@ def write_outputs(
     folder, results, table = Path(folder), list(results), table or Table()
     tables = all_tables(results, table)
     texts = {
+        "runs.csv": as_csv(results),
+        "provenance.json": json.dumps(provenance(results, table.text), indent=1),
         "table.md": markdown_file(results, tables, table),
         "table.tex": latex_file(tables),
         "table.json": json.dumps(as_json(results, table), indent=1, allow_nan=False),

@@ -96,6 +96,8 @@ class Budget:
 
     def __post_init__(self):
         check_kinds("budget", self)
+        if self.steps not in ("equal", "own"):
+            raise ValueError(f'budget.steps must be "equal" or "own", got {shown(self.steps)}')
         if self.gaussians is not None:
             check_number("budget.gaussians", self.gaussians, 1)
             if not isinstance(self.gaussians, int):
@@ -153,6 +155,11 @@ class RunSpec:
     """``sequence_fingerprint`` of a sequence that was opened by the caller; otherwise empty."""
     device: str = "cpu"
     """Device of the maps."""
+    fidelity: str = ""
+    """What to follow where paper and released code differ: measured, paper or code; the default of the system if
+    empty."""
+    online: bool = False
+    """Score the views also before the optimisation after the scan, and give frames per second."""
 
     def __post_init__(self):
         plain = {name: str(value) if isinstance(value, Path) else value for name, value in self.options.items()}
@@ -162,6 +169,9 @@ class RunSpec:
         object.__setattr__(self, "preset", self.preset or ("room" if self.data == "room" else "replica"))
         check_number("seed", self.seed, 0)
         check_number("keep_share", self.keep_share, 1e-6, 1)
+        if self.size_range is not None and not 0 < self.size_range[0] < self.size_range[1]:
+            given = shown(list(self.size_range))
+            raise ValueError(f"size_range must be smallest and largest, both above 0, got {given}")
 
     @property
     def rule_name(self) -> str:
@@ -176,7 +186,7 @@ class RunSpec:
         Raises:
             KeyError: unknown system or preset. ValueError: a setting that does not exist, or has an invalid value.
         """
-        base = get_system(self.system).preset(self.preset)
+        base = get_system(self.system).preset(self.preset, **({"fidelity": self.fidelity} if self.fidelity else {}))
         given = {name.replace("-", "_"): value for name, value in self.settings.items()}
         own = [*base.seeding.own_settings, *given.pop("seeding.own_settings", ()), *given]
         rule = {"seeding.rule": self.rule_name, "seeding.options": dict(self.options), "seed": self.seed}
@@ -221,7 +231,15 @@ class RunSpec:
                 'use it outside `with use_backend("mine")`'
             )
         parts = self.to_json()
-        for name in ("label", "scene", "data", "rule", "preset", "settings"):  # names, and what the settings say
+        for name in (
+            "label",
+            "scene",
+            "data",
+            "rule",
+            "preset",
+            "fidelity",
+            "settings",
+        ):  # names, and what the settings say
             parts.pop(name)
         known = registered().get(self.rule)
         if known is not None and not is_built_in(known):  # registered in this process, such as in a notebook

@@ -50,41 +50,45 @@ class Column:
         return "∞" if number == float("inf") else f"{number:,.{self.digits}f}"
 
 
-def _image_columns(metric: str, heading: str, better: Better) -> Iterable[Column]:
-    groups: tuple[tuple[str, Views], ...] = (
-        ("held_out", "held out"), ("held_out_between", "between neighbours"), ("mapped", "mapped"),
-    )  # fmt: skip
-    for views, word in groups:
-        name = metric.format(views)
-        known = METRICS[name]
-        yield Column(
-            metric=name, heading=heading, views=word, unit=known.unit, digits=known.digits, scale=known.scale,
-            better=better,
-        )  # fmt: skip
+def _columns() -> Iterable[Column]:
+    """All columns, in the order of the tables: names, units and digits are those of ``METRICS``."""
+    groups: dict[str, Views] = {"held_out": "held out", "held_out_between": "between neighbours", "mapped": "mapped"}
+    images: dict[str, Better] = {"psnr_{}_db": "higher", "ssim_{}": "higher", "lpips_{}": "lower"}
+    images["depth_l1_{}_m"] = "lower"
+    for name, better in images.items():
+        for views, words in groups.items():
+            yield _column(name.format(views), better, views=words)
+    for name in ("psnr_held_out_online_db", "psnr_mapped_online_db", "ssim_held_out_online"):
+        heading, _, views = METRICS[name].label.partition(", ")
+        yield _column(name, "higher", heading=f"{heading} online", views=views)
+    yield _column("mesh_accuracy_m", "lower", heading="Mesh accuracy")
+    yield _column("mesh_completion_m", "lower", heading="Mesh completion")
+    yield _column("mesh_psnr_held_out_db", "higher", heading="Mesh PSNR held out")
+    yield _column("ate_rmse_m", "lower")
+    yield _column("drift_m", "lower")
+    yield Column(metric="n_gaussians", heading="Gaussians", digits=0, better="lower", group="cost")
+    yield Column(metric="n_keyframes", heading="Keyframes", digits=0, group="cost")
+    yield Column(metric="n_steps", heading="Gradient steps", digits=0, group="cost")
+    costs = {
+        "ms_per_frame": "Time per frame",
+        "cpu_ms_per_frame": "CPU time per frame",
+        "seeding_ms": "Seeding per frame",
+    }
+    for name, heading in costs.items():
+        yield Column(metric=name, heading=heading, unit="ms", digits=1, better="lower", group="cost")
+    yield _column("seconds_total", "lower", group="cost")
+    yield _column("peak_memory_mb", "lower", heading="Memory", group="cost")
+    for name in ("fps_total", "fps_mapping", "fps_tracking"):
+        yield _column(name, "higher", group="cost")
 
 
-def _cost(metric: str, heading: str, unit: str = "", digits: int = 0, better: Better = "lower") -> Column:
-    return Column(metric=metric, heading=heading, unit=unit, digits=digits, better=better, group="cost")
+def _column(metric: str, better: Better, **changes: Any) -> Column:
+    known = METRICS[metric]
+    words: dict[str, Any] = {"heading": known.label, "unit": known.unit, "digits": known.digits, "scale": known.scale}
+    return Column(metric=metric, better=better, **(words | changes))
 
 
-_ALL = (
-    *_image_columns("psnr_{}_db", "PSNR", "higher"),
-    *_image_columns("ssim_{}", "SSIM", "higher"),
-    *_image_columns("lpips_{}", "LPIPS", "lower"),
-    *_image_columns("depth_l1_{}_m", "Depth error", "lower"),
-    Column(metric="mesh_accuracy_m", heading="Mesh accuracy", unit="cm", scale=100.0, better="lower"),
-    Column(metric="mesh_completion_m", heading="Mesh completion", unit="cm", scale=100.0, better="lower"),
-    Column(metric="ate_rmse_m", heading="ATE RMSE", unit="cm", scale=100.0, better="lower"),
-    _cost("n_gaussians", "Gaussians"),
-    _cost("n_keyframes", "Keyframes", better="neither"),
-    _cost("n_steps", "Gradient steps", better="neither"),
-    _cost("ms_per_frame", "Time per frame", "ms", 1),
-    _cost("cpu_ms_per_frame", "CPU time per frame", "ms", 1),
-    _cost("seeding_ms", "Seeding per frame", "ms", 1),
-    _cost("seconds_total", "Whole run", "s", 1),
-    _cost("peak_memory_mb", "Memory", "MB"),
-)
-COLUMNS: Mapping[str, Column] = {column.metric: column for column in _ALL}
+COLUMNS: Mapping[str, Column] = {column.metric: column for column in _columns()}
 """Name of a number -> its column, in the order of the tables."""
 
 FIRST_METRIC = "psnr_held_out_db"

@@ -1,24 +1,24 @@
-"""Reaching a budget: the option of a rule that decides its size, the search for its value, and the scratch runs."""
+"""Reaching a budget: the option of a rule that decides its size, and the search for the value that gives the budget."""
 
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from ..config import SystemConfig
 from ..errors import shown
 from ..seeding import SeedingRule, rule_name, rule_options
-from .map_scene import Entry, Mapped, budgeted, map_scene, observed
+from .map_scene import Entry, OnStep, budgeted, finished, map_scene, observed
 from .schedule import dotted, flat_settings, steps_per_frame, with_steps_per_frame, without_steps
-from .spec import RunSpec, label_of
+from .spec import RunSpec
 
 THIN = "thin"
 """Size option of any rule: the share of its seeds that is kept, drawn at random."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SizeOption:
     """A number that decides how many Gaussians a rule makes."""
 
@@ -30,22 +30,20 @@ class SizeOption:
     """Largest value that is tried."""
 
 
-SHARE = SizeOption(name="share", low=1e-5, high=1.0)
+_SHARE = SizeOption("share", 1e-5, 1.0)
+_THRESHOLD = SizeOption("seeding.quadtree_threshold", 1e-6, 100.0)
 SIZE_OPTIONS: dict[str, SizeOption] = {
-    "gsfusion": SizeOption(name="seeding.quadtree_threshold", low=1e-6, high=100.0),
-    "uniform": SizeOption(name="fraction", low=1e-5, high=1.0),
-    "edge_discs": SizeOption(name="spacing_px", low=1.0, high=200.0),
-    "edge_strokes": SizeOption(name="spacing_px", low=1.0, high=200.0),
-    "monogs": SizeOption(name="density", low=1e-4, high=128.0),
-    "monogs_like": SizeOption(name="density", low=1e-4, high=128.0),
-    "photo_slam": SizeOption(name="corners", low=1, high=100_000),
-    "gs_icp": SizeOption(name="density", low=1e-3, high=100.0),
-    "on_the_fly_nvs": SizeOption(name="density", low=1e-4, high=1e4),
-    "cone_gs": SizeOption(name="share", low=1e-5, high=1e3),
-    "vg_mapping": SizeOption(name="seeding.quadtree_threshold", low=1e-6, high=100.0),
-    **dict.fromkeys(("default_strategy", "mcmc", "game"), SHARE),
-    **dict.fromkeys(("cg_slam", "gaus_slam", "gaussian_slam", "gps_slam", "gs_slam", "hf_slam", "mm3dgs"), SHARE),
-    **dict.fromkeys(("rtg_slam", "splatam", "splatam_like", "two_dgs_slam", "vings", "vtgaussian"), SHARE),
+    **dict.fromkeys(("gsfusion", "vg_mapping"), _THRESHOLD),
+    "uniform": SizeOption("fraction", 1e-5, 1.0),
+    **dict.fromkeys(("edge_discs", "edge_strokes"), SizeOption("spacing_px", 1.0, 200.0)),
+    **dict.fromkeys(("monogs", "monogs_like"), SizeOption("density", 1e-4, 128.0)),
+    "photo_slam": SizeOption("corners", 1, 100_000),
+    "gs_icp": SizeOption("density", 1e-3, 100.0),
+    "on_the_fly_nvs": SizeOption("density", 1e-4, 1e4),
+    "cone_gs": SizeOption("share", 1e-5, 1e3),
+    **dict.fromkeys(("default_strategy", "mcmc", "game"), _SHARE),
+    **dict.fromkeys(("cg_slam", "gaus_slam", "gaussian_slam", "gps_slam", "gs_slam", "hf_slam", "mm3dgs"), _SHARE),
+    **dict.fromkeys(("rtg_slam", "splatam", "splatam_like", "two_dgs_slam", "vings", "vtgaussian"), _SHARE),
 }
 """Registered rule -> its size option."""
 
@@ -67,7 +65,7 @@ def size_option(spec: RunSpec, rule: SeedingRule) -> SizeOption:
     if known is not None and name == known.name and spec.size_range is None:
         return known
     low, high = spec.size_range or _usual_range(spec, rule, name)
-    return SizeOption(name=name, low=low, high=high)
+    return SizeOption(name, low, high)
 
 
 def start_value(spec: RunSpec, rule: SeedingRule, option: SizeOption) -> float | int:
@@ -100,15 +98,10 @@ def with_size(spec: RunSpec, option: SizeOption, value: float | int) -> RunSpec:
     return RunSpec.from_json(values)
 
 
-def described(option: SizeOption, value: float | int) -> str:
-    """The tuned value in words: "fraction=0.1"."""
-    return label_of("", {option.name: value}).strip()
-
-
 def _usual_range(spec: RunSpec, rule: SeedingRule, name: str) -> tuple[float | int, float | int]:
     if name == THIN:
         return 1e-5, 1.0
-    start = start_value(spec, rule, SizeOption(name=name, low=0, high=0))
+    start = start_value(spec, rule, SizeOption(name, 0, 0))
     if isinstance(start, float) and start <= 1 and "." not in name:
         return 1e-5, 1.0
     return (1, 1000 * start) if isinstance(start, int) else (start / 1e4, start * 1e4)
@@ -120,134 +113,117 @@ _FARTHEST = 8.0
 """Largest factor between the value of one evaluation and the next."""
 _CLOSEST = 1e-3
 """Logarithm of the ratio of two values between which no others are tried."""
+Number = float | int
 
 
 class NotReachedError(ValueError):
     """No value of the option reaches the target; the message says what the best ones reach."""
 
 
-@dataclass(kw_only=True)
-class Search:
-    """A search for ``count(value) = target``; ``count`` is monotone, but the direction need not be known.
+def search(
+    count: Callable[[Number], Number],
+    target: Number,
+    *,
+    start: Number,
+    low: Number,
+    high: Number,
+    tolerance: Number,
+    whole: bool = False,
+    counts: dict[Number, Number] | None = None,
+) -> dict[Number, Number]:
+    """Search for ``count(value) = target``; ``count`` is monotone, but the direction need not be known.
 
-    It is asked for a value and told its count, until it has no further value:
+    Values and counts are compared by their ratios. Between two values on both sides of the target it interpolates, or
+    bisects when one end stays; outside it follows the slope.
 
-        while (value := search.next_value()) is not None:
-            search.tell(value, count(value))
-        value = search.found()
+    Args:
+        count: What is counted at a value.
+        target: The count that is wanted.
+        start: The first value, if it is between ``low`` and ``high``; else the nearer of these.
+        low, high: Limits of the values.
+        tolerance: A relative deviation from the target that is small enough to stop.
+        whole: Only whole numbers.
+        counts: Counts that are known already.
 
-    Values and counts are compared by their ratios. Between two values on both sides of the target it interpolates;
-    outside it follows the slope.
+    Returns:
+        Value -> count, in the order of evaluation; the one nearest to the target may be farther than ``tolerance``.
     """
+    counts = {} if counts is None else counts
 
-    target: float | int
-    start: float | int
-    """The first value, if it is between ``low`` and ``high``; else the nearer of these."""
-    low: float | int
-    high: float | int
-    tolerance: float | int
-    """A relative deviation from the target that is small enough to stop."""
-    accepted: float | int = 0.0
-    """A larger one that is accepted where no value comes closer, as for counts that change in steps."""
-    whole: bool = False
-    """Only whole numbers."""
-    counts: dict[float | int, float | int] = field(default_factory=dict)
-    """Value -> count, in the order of evaluation."""
+    def allowed(value: Number) -> Number:
+        value = min(max(value, low), high)
+        return round(value) if whole else value
 
-    def next_value(self) -> float | int | None:
-        """The value whose count is wanted next; None when the search has ended."""
-        if not self.counts:
-            return self._allowed(self.start)
-        if len(self.counts) >= MOST_RUNS or self.error(self.best) <= self.tolerance:
-            return None
-        value = self._next()
-        return None if value in self.counts else value
+    def ratio(n: Number, m: Number) -> float:
+        least = 1e-4 * target  # a count of zero has no logarithm
+        return math.log(max(n, least) / max(m, least))
 
-    def tell(self, value: float | int, count: float | int) -> None:
-        """``count`` is the count at ``value``."""
-        self.counts[value] = count
+    def moved(value: Number, log_factor: float) -> Number:
+        """Another value, at least a tenth away and not too far."""
+        size = min(max(abs(log_factor), math.log(1.1)), math.log(_FARTHEST))
+        found = allowed(value * math.exp(math.copysign(size, log_factor)))
+        return allowed(value + math.copysign(1, log_factor)) if whole and found == value else found
 
-    @property
-    def best(self) -> float | int:
-        """The value whose count is closest to the target so far."""
-        return min(self.counts, key=self.error)
-
-    def found(self) -> float | int:
-        """The best value, if it is close enough to the target.
-
-        Raises:
-            NotReachedError: it is not.
-        """
-        if self.error(self.best) > max(self.tolerance, self.accepted):
-            raise NotReachedError(self._nearest())
-        return self.best
-
-    def error(self, value: float | int) -> float:
-        """Relative deviation of the count at ``value`` from the target."""
-        return abs(self.counts[value] - self.target) / self.target
-
-    def _next(self) -> float | int:
-        """The next value; one that is known already if no other can be better."""
-        below = {v for v, n in self.counts.items() if n < self.target}
-        above = set(self.counts) - below
-        if below and above:
-            a, b = min(((a, b) for a in below for b in above), key=lambda pair: abs(math.log(pair[0] / pair[1])))
-            return a if abs(math.log(a / b)) < _CLOSEST else self._between(a, b)
-        return self._beyond()
-
-    def _between(self, a: float | int, b: float | int) -> float | int:
-        """Interpolated in the logarithms; bisected when one end stays, so that it always ends."""
-        share = self._log_ratio(self.target, a) / max(self._log_ratio(self.counts[b], a), 1e-9)
-        recent = [n < self.target for n in list(self.counts.values())[-2:]]
+    def between(a: Number, b: Number) -> Number:
+        share = ratio(target, counts[a]) / max(ratio(counts[b], counts[a]), 1e-9)
+        recent = [n < target for n in list(counts.values())[-2:]]
         share = 0.5 if len(recent) == 2 and recent[0] == recent[1] else min(max(share, 0.1), 0.9)
         value = a * (b / a) ** share
-        if not self.whole:
+        if not whole:
             return value
-        between = range(math.floor(min(a, b)) + 1, math.ceil(max(a, b)))
-        return min(between, key=lambda v: abs(v - value)) if between else a
+        inside = range(math.floor(min(a, b)) + 1, math.ceil(max(a, b)))
+        return min(inside, key=lambda v: abs(v - value)) if inside else a
 
-    def _beyond(self) -> float | int:
-        """Outside the values so far, towards the target."""
-        a, b = min(self.counts), max(self.counts)
+    def beyond() -> Number:
+        a, b = min(counts), max(counts)
         if a == b:  # as if the count were proportional to the value
-            factor = self._factor(self._log_ratio(self.target, a))
-            value = self._moved(a, factor)
-            return value if value != a else self._moved(a, 1 / factor)
-        if self.counts[a] == self.counts[b]:  # no effect so far
-            return self.high if self.high not in self.counts else self.low
-        upwards = (self.counts[b] > self.counts[a]) == (self.target > self.counts[b])
-        edge, *others = sorted(self.counts, reverse=upwards)
-        if self.counts[edge] == self.counts[others[0]]:
-            return self.high if upwards else self.low
-        slope = self._log_ratio(self.counts[edge], others[0]) / math.log(edge / others[0])
-        factor = self._factor(abs(self._log_ratio(self.target, edge) / slope))
-        return self._moved(edge, factor if upwards else 1 / factor)
+            value = moved(a, ratio(target, counts[a]))
+            return value if value != a else moved(a, -ratio(target, counts[a]))
+        if counts[a] == counts[b]:  # no effect so far
+            return high if high not in counts else low
+        upwards = (counts[b] > counts[a]) == (target > counts[b])
+        edge, inner, *_ = sorted(counts, reverse=upwards)
+        if counts[edge] == counts[inner]:
+            return high if upwards else low
+        slope = ratio(counts[edge], counts[inner]) / math.log(edge / inner)
+        return moved(edge, abs(ratio(target, counts[edge]) / slope) * (1 if upwards else -1))
 
-    def _factor(self, log_factor: float) -> float:
-        """A factor for the next value: a change of at least a tenth, and not by too much."""
-        size = min(max(abs(log_factor), math.log(1.1)), math.log(_FARTHEST))
-        return math.exp(math.copysign(size, log_factor))
+    def following() -> Number | None:
+        """The value to try next; None if the search has ended."""
+        if len(counts) >= MOST_RUNS or min(_errors(counts, target).values()) <= tolerance:
+            return None
+        below = [v for v, n in counts.items() if n < target]
+        above = [v for v, n in counts.items() if n >= target]
+        if not (below and above):
+            return beyond()
+        a, b = min(itertools.product(below, above), key=lambda pair: abs(math.log(pair[0] / pair[1])))
+        return None if abs(math.log(a / b)) < _CLOSEST else between(a, b)
 
-    def _moved(self, value: float | int, factor: float) -> float | int:
-        moved = self._allowed(value * factor)
-        if self.whole and moved == value:
-            moved = self._allowed(value + (1 if factor > 1 else -1))
-        return moved
+    value = following() if counts else allowed(start)
+    while value is not None and value not in counts:
+        counts[value] = count(value)
+        value = following()
+    return counts
 
-    def _log_ratio(self, count: float | int, value: float | int) -> float:
-        least = 1e-4 * self.target  # a count of zero has no logarithm
-        return math.log(max(count, least) / max(self.counts[value], least))
 
-    def _allowed(self, value: float | int) -> float | int:
-        value = min(max(value, self.low), self.high)
-        return round(value) if self.whole else value
+def nearest(counts: Mapping[Number, Number], target: Number, tolerance: Number) -> Number:
+    """The value whose count is nearest to the target.
 
-    def _nearest(self) -> str:
-        nearest = sorted(self.counts, key=self.error)[:2]
-        if len(nearest) == 2 and len(set(self.counts.values())) == 1:
-            a, b = nearest
-            return f"this changes nothing: {a:g} and {b:g} both give {self.counts[a]:,.6g}"
-        return " and ".join(f"{v:g} gives {self.counts[v]:,.6g}" for v in nearest)
+    Raises:
+        NotReachedError: it differs by more than ``tolerance``.
+    """
+    errors = _errors(counts, target)
+    best = sorted(counts, key=errors.__getitem__)[:2]
+    if errors[best[0]] <= tolerance:
+        return best[0]
+    if len(best) == 2 and len(set(counts.values())) == 1:
+        a, b = best
+        raise NotReachedError(f"this changes nothing: {a:g} and {b:g} both give {counts[a]:,.6g}")
+    raise NotReachedError(" and ".join(f"{v:g} gives {counts[v]:,.6g}" for v in best))
+
+
+def _errors(counts: Mapping[Number, Number], target: Number) -> dict[Number, float]:
+    return {value: abs(n - target) / target for value, n in counts.items()}
 
 
 TUNING_SEED = 1_000_003
@@ -280,8 +256,8 @@ def tuning_spec(spec: RunSpec) -> RunSpec:
     return dataclasses.replace(spec, seed=TUNING_SEED)
 
 
-def tune(entry: Entry) -> Generator[None, None, dict[str, Any]]:
-    """Find what the budget of ``entry`` asks for, with scratch runs; yields between their frames.
+def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
+    """Find what the budget of ``entry`` asks for, with scratch runs; ``on_step`` is called between their frames.
 
     Returns:
         Plain values: option, value, n_gaussians (in the last tuning run), steps_per_frame, seconds, n_runs.
@@ -289,29 +265,28 @@ def tune(entry: Entry) -> Generator[None, None, dict[str, Any]]:
     Raises:
         NotReachedError: the budget cannot be reached. ValueError: the rule has no size option.
     """
-    budget, found, runs = entry.spec.budget, {}, 0
-    config = budgeted(entry.spec)
+    budget, found = entry.spec.budget, {}
     if budget.gaussians is not None:
-        found = yield from _tune_size(entry, config)
+        found = _tune_size(entry, on_step)
         entry = apply_size(entry, found)
-        runs = found["n_runs"]
     if budget.seconds is not None:
-        steps = yield from _tune_seconds(entry, budgeted(entry.spec))
-        found = {**found, **steps, "n_runs": runs + steps["n_runs"]}
+        steps = _tune_seconds(entry, on_step)
+        found = {**found, **steps, "n_runs": found.get("n_runs", 0) + steps["n_runs"]}
     return found
 
 
-def reach_budget(entry: Entry, tuned: Mapping[str, Any] | None = None) -> Generator[None, None, Ready]:
+def reach_budget(entry: Entry, tuned: Mapping[str, Any] | None = None, on_step: OnStep = lambda report: None) -> Ready:
     """The run as its budget wants it.
 
     Args:
         entry: The run.
         tuned: What ``tune`` found for ``tuning_spec(entry.spec)``; it is tuned here if None.
+        on_step: As for ``tune``.
     """
     if not is_tuned(entry.spec):
         return Ready(entry=entry, config=budgeted(entry.spec))
     if tuned is None:
-        tuned = yield from tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)))
+        tuned = tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)), on_step)
     entry = apply_size(entry, tuned)
     config = budgeted(entry.spec)
     if "steps_per_frame" in tuned:
@@ -327,65 +302,54 @@ def apply_size(entry: Entry, tuned: Mapping[str, Any]) -> Entry:
     return dataclasses.replace(entry, spec=with_size(entry.spec, option, tuned["value"]))
 
 
-def _tune_size(entry: Entry, config: SystemConfig) -> Generator[None, None, dict[str, Any]]:
+def _tune_size(entry: Entry, on_step: OnStep) -> dict[str, Any]:
     """First without gradient steps, which is fast; then, if they can change the number of Gaussians, with all of them.
 
     They cannot if the rule never read the Gaussians of the map and does not edit it.
     """
-    spec, rule = entry.spec, entry.found_rule()
-    option = size_option(spec, rule)
-    start, target = start_value(spec, rule, option), spec.budget.gaussians
+    spec, rule, used = entry.spec, entry.found_rule(), set()
+    option, config = size_option(spec, rule), budgeted(spec)
+    start, target, tolerance = start_value(spec, rule, option), spec.budget.gaussians, spec.budget.tolerance
     assert target is not None
-    whole = isinstance(start, int)
-    tolerance, used = spec.budget.tolerance / 2, set()
+    whole, has_steps = isinstance(start, int), without_steps(config) != config
     entry = dataclasses.replace(entry, rule=observed(rule, used))
-    value, runs = float(start), 0
-    for settings in (without_steps, None):
-        search = Search(
-            target=target, start=value, low=option.low, high=option.high, whole=whole, tolerance=tolerance,
-            accepted=spec.budget.tolerance,
-        )  # fmt: skip
-        while (tried := search.next_value()) is not None:
+    limits: dict[str, Any] = {"low": option.low, "high": option.high, "whole": whole}
+
+    def counter(settings: Callable[[SystemConfig], SystemConfig]) -> Callable[[Number], Number]:
+        def count(value: Number) -> int:
             most = math.inf if "after_step" in used else FAR_TOO_MANY * target
-            count = yield from _scratch_run(entry, option, int(tried) if whole else tried, settings, most)
-            search.tell(tried, count)
-            if settings is without_steps and _steps_matter(config, used):
-                search.tolerance = 4 * tolerance  # a start for the search with all steps
-        value, runs = search.best, runs + len(search.counts)
-        too_few = (
-            "after_step" not in used and search.counts[search.best] < target / 2
-        )  # and seeding is most without steps
-        if too_few or not _steps_matter(config, used):
-            break
+            changed = dataclasses.replace(entry, spec=with_size(spec, option, int(value) if whole else value))
+            return _count(changed, settings(budgeted(changed.spec)), most, on_step)
+
+        return count
+
+    count, first = counter(without_steps), min(max(float(start), option.low), option.high)
+    first = round(first) if whole else first
+    counts: dict[Number, Number] = {first: count(first)}  # which tells what the rule reads
+    rough = 4 if used and has_steps else 1  # only a start for the search with all steps
+    counts = search(count, target, start=first, tolerance=rough * tolerance / 2, counts=counts, **limits)
+    value = min(counts, key=_errors(counts, target).__getitem__)
+    n_runs = len(counts)
+    too_few = "after_step" not in used and counts[value] < target / 2  # and seeding is most without steps
+    if used and has_steps and not too_few:
+        counts = search(counter(lambda config: config), target, start=value, tolerance=tolerance / 2, **limits)
+        n_runs += len(counts)
     try:
-        value = search.found()
+        value = nearest(counts, target, tolerance)
     except NotReachedError as e:
         raise NotReachedError(
-            f"{rule_name(rule)} does not reach {target:,} Gaussians within {spec.budget.tolerance:.1%} by its "
+            f"{rule_name(rule)} does not reach {target:,} Gaussians within {tolerance:.1%} by its "
             f"option {option.name}: {e}"
         ) from None
     return {
-        "option": option.name, "value": int(value) if whole else value, "n_runs": runs,
-        "n_gaussians": int(search.counts[value]),
+        "option": option.name, "value": int(value) if whole else value, "n_runs": n_runs,
+        "n_gaussians": int(counts[value]),
     }  # fmt: skip
 
 
-def _steps_matter(config: SystemConfig, used: set[str]) -> bool:
-    """Whether gradient steps can change how many Gaussians a rule makes that used these parts of the map."""
-    return bool(used) and without_steps(config) != config
-
-
-def _scratch_run(
-    entry: Entry,
-    option: SizeOption,
-    value: float | int,
-    settings: Callable[[SystemConfig], SystemConfig] | None,
-    most: float,
-) -> Generator[None, None, int]:
-    """Gaussians in the map that this value gives; extrapolated from a run that is given up, at more than ``most``."""
-    changed = dataclasses.replace(entry, spec=with_size(entry.spec, option, value))
-    config, n_frames = budgeted(changed.spec), len(entry.opened().mapping)
-    steps = map_scene(changed, settings(config) if settings else config, with_memory=False)
+def _count(entry: Entry, config: SystemConfig, most: float, on_step: OnStep) -> int:
+    """Gaussians in the map of a scratch run; extrapolated from a run that is given up, at more than ``most``."""
+    steps, n_frames = map_scene(entry, config, scratch=True), len(entry.opened().mapping)
     for done in itertools.count(1):
         try:
             report = next(steps)
@@ -393,40 +357,25 @@ def _scratch_run(
             return len(ended.value.run.mapper.gaussians)
         if report is not None and report.n_gaussians > most:
             return int(float(f"{report.n_gaussians * n_frames / done:.2g}"))
-        yield None
+        on_step(None)
     raise AssertionError
 
 
-def _tune_seconds(entry: Entry, config: SystemConfig) -> Generator[None, None, dict[str, Any]]:
-    budget = entry.spec.budget
+def _tune_seconds(entry: Entry, on_step: OnStep) -> dict[str, Any]:
+    budget, config = entry.spec.budget, budgeted(entry.spec)
     assert budget.seconds is not None
-    search = Search(
-        target=budget.seconds,
-        start=max(steps_per_frame(config), 1),
-        low=1,
-        high=MOST_STEPS,
-        whole=True,
-        tolerance=budget.tolerance / 2,
-        accepted=budget.tolerance,
-    )
-    while (steps := search.next_value()) is not None:
-        mapped = yield from _quiet(entry, with_steps_per_frame(config, int(steps)))
-        search.tell(steps, mapped.seconds)
+
+    def count(steps: Number) -> float:
+        run = map_scene(entry, with_steps_per_frame(config, int(steps)), scratch=True)
+        return finished(run, lambda report: on_step(None)).seconds
+
+    start = max(steps_per_frame(config), 1)
+    counts = search(count, budget.seconds, start=start, low=1, high=MOST_STEPS, whole=True,
+                    tolerance=budget.tolerance / 2)  # fmt: skip
     try:
-        found = search.found()
+        found = nearest(counts, budget.seconds, budget.tolerance)
     except NotReachedError as e:
         raise NotReachedError(
             f"{budget.seconds:g} s within {budget.tolerance:.1%} cannot be reached by gradient steps per frame: {e} s"
         ) from None
-    return {"steps_per_frame": int(found), "seconds": search.counts[found], "n_runs": len(search.counts)}
-
-
-def _quiet(entry: Entry, config: SystemConfig) -> Generator[None, None, Mapped]:
-    """``map_scene`` without its reports, which belong to the scored run."""
-    steps = map_scene(entry, config, with_memory=False)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as ended:
-            return ended.value
-        yield None
+    return {"steps_per_frame": int(found), "seconds": counts[found], "n_runs": len(counts)}

@@ -135,7 +135,7 @@ def test_a_stored_notebook_has_table_and_picture(live, monkeypatch):
 def test_interrupting_the_kernel_keeps_what_is_done(specs, tmp_path, cache, monkeypatch):
     runs = LiveRuns(specs[:2], ResultStore(tmp_path, tmp_path / "cache"))
     next(runs)
-    monkeypatch.setattr(runs._gate, "_on_frame", lambda: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(runs, "_on_frame", lambda: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         next(runs)
     monkeypatch.undo()
@@ -147,10 +147,8 @@ def test_the_results_so_far_are_written_beside_them(live, tmp_path, monkeypatch)
     calls = []
     monkeypatch.setattr(live_table, "write_outputs", lambda *arguments: calls.append(arguments) or [])
     live.run_sync(1)
-    written = live.write()
+    live.write()
     assert calls == [(tmp_path, live.results)]
-    assert written == [tmp_path / "runs.csv", tmp_path / "provenance.json"]
-    assert (tmp_path / "runs.csv").read_text().count("\n") == 2
 
 
 def test_all_combinations():

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb.compare import roofline
-from gsfusion_nb.compare import study as run
+from gsfusion_nb.compare import studies as run
 from gsfusion_nb.compare.roofline import (
     KernelPoint,
     Roofs,
@@ -63,7 +63,7 @@ def test_the_command_writes_a_table_and_a_picture(tmp_path, monkeypatch, capsys)
     small = functools.partial(mapping_work, 200, 48, 32)
     monkeypatch.setattr(roofline, "mapping_work", small)
     monkeypatch.setattr(roofline, "measure_roofs", lambda: ROOFS)
-    assert run.main(run.StudyOptions(name="roofline", out=str(tmp_path))) == 0
+    assert run.study(run.StudyOptions(name="roofline", out=str(tmp_path))) == 0
     text = (tmp_path / "roofline.txt").read_text()
     assert "100 Gflop/s (matrix product), 10 GB/s" in text
     assert text.strip() in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Every rule has an option that decides its number of Gaussians, or is known to have none."""
+"""Every rule has an option that decides its number of Gaussians; the search for its value takes few runs."""
 
 from dataclasses import dataclass
 
@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from gsfusion_nb.compare import Budget, Entrant, RunSpec, tune
-from gsfusion_nb.compare.map_scene import finished, map_scene, thinned
-from gsfusion_nb.compare.tune import SIZE_OPTIONS, size_option, start_value, with_size
+from gsfusion_nb.compare.map_scene import map_scene, thinned
+from gsfusion_nb.compare.tune import SIZE_OPTIONS, NotReachedError, nearest, search, size_option, start_value, with_size
 from gsfusion_nb.seeding import MapRule, SeedContext, apply_rule, is_built_in, registered
 from gsfusion_nb.types import Camera, Frame
 
@@ -77,7 +77,7 @@ def test_only_rules_that_use_the_map_are_tuned_with_gradient_steps(rule, with_st
         data="room", reader={"n_frames": 2}, budget=Budget(gaussians=150, tolerance=0.2),
         settings={"data.width": 48, "data.height": 36, "tsdf.voxel_size_m": 0.05, "optim.global_iterations": 0},
     )  # fmt: skip
-    found = finished(tune.tune(run))
+    found = tune.tune(run)
     assert not steps[0]
     assert any(steps) == with_steps
     assert found["n_runs"] == len(steps)
@@ -102,6 +102,54 @@ def test_a_run_with_far_too_many_gaussians_is_given_up(monkeypatch):
         settings={"data.width": 48, "data.height": 36, "tsdf.voxel_size_m": 0.05, "optim.global_iterations": 0},
     )  # fmt: skip
     with pytest.raises(tune.NotReachedError, match="ten_at_least does not reach 15 Gaussians"):
-        finished(tune.tune(run))
+        tune.tune(run)
     assert len(n_frames) < 8
     assert max(n_frames) == 1  # given up in the first of seven frames
+
+
+def found(count, start, target, low=1e-6, high=100.0, tolerance=0.02, whole=False):
+    counts = search(count, target, start=start, low=low, high=high, tolerance=tolerance, whole=whole)
+    return nearest(counts, target, tolerance), len(counts)
+
+
+CURVES = {
+    "proportional": lambda v: 1000 * v,
+    "inverse": lambda v: 300 / v,
+    "falls slowly": lambda v: 3000 * v**-0.3,
+    "saturates": lambda v: 1200 * v / (1 + v),
+}
+
+
+@pytest.mark.parametrize("name", CURVES)
+@pytest.mark.parametrize("start", [0.01, 0.5, 20.0])
+def test_the_search_finds_the_value_in_few_runs(name, start):
+    value, n_runs = found(CURVES[name], start, 900.0)
+    assert CURVES[name](value) == pytest.approx(900, rel=0.02)
+    assert n_runs <= 10
+
+
+def test_whole_numbers():
+    assert found(lambda v: 10 * v, 3, 500.0, low=1, high=1000, whole=True) == (50, 3)
+    with pytest.raises(NotReachedError, match="00"):
+        found(lambda v: 200 * v, 9, 500.0, low=1, high=1000, whole=True)
+
+
+@pytest.mark.parametrize(
+    ("curve", "names"),
+    [
+        (lambda v: min(1000 * v, 700), "700"),
+        (lambda v: 0, "0"),
+        (lambda v: max(5000.0, v), "5,000"),
+        (lambda v: 100 if v < 0.5 else 5000 * v, "100"),
+    ],
+)
+def test_what_cannot_be_reached_is_said_soon(curve, names):
+    runs = []
+
+    def count(v):
+        runs.append(v)
+        return curve(v)
+
+    with pytest.raises(NotReachedError, match=names):
+        found(count, 0.1, 900.0, high=1.0)
+    assert len(runs) <= 16

@@ -1,0 +1,118 @@
+"""Rules compared in one call: what is counted, what it survives, and that a stop keeps what has finished."""
+
+import dataclasses
+from typing import Any
+
+import pytest
+
+from gsfusion_nb.compare import Budget, compare_rules
+from gsfusion_nb.compare.entries import Entrant, entries_of
+from gsfusion_nb.config import gsfusion, replace
+from gsfusion_nb.data import open_sequence
+from gsfusion_nb.mapping import GSFusion
+
+CONFIG = gsfusion(
+    "room", data__width=64, data__height=48, data__stop=5, data__hold_out_every=5, tsdf__voxel_size_m=0.05,
+    sh_degree=0, optim__global_iterations=0, seeding__quadtree_contrast="std", seeding__quadtree_threshold=0.05,
+)  # fmt: skip
+QUIET: dict[str, Any] = {"on_progress": lambda progress: None}
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    return open_sequence("room", data=CONFIG.data, n_frames=60)
+
+
+def test_a_run_agrees_with_the_mapper_and_is_shown(sequence):
+    board = compare_rules(["gsfusion", Entrant("uniform", {"fraction": 0.1})], sequence, CONFIG, **QUIET)
+    assert board.complete
+    assert [g.label for g in board.groups] == ["gsfusion", "uniform fraction=0.1"]
+    mapper = GSFusion(CONFIG)
+    for frame in sequence.mapping:
+        mapper.step(frame)
+    assert board["gsfusion"].summary("n_gaussians").mean == len(mapper.gaussians)
+    assert board["gsfusion"].summary("n_keyframes").mean == len(mapper.keyframes)
+    assert set(board.front) <= {"gsfusion", "uniform fraction=0.1"}
+    for text in (repr(board), board._repr_html_()):
+        assert f"{len(mapper.gaussians):,}" in text
+        assert "not equal between the rules" in text
+    with pytest.raises(KeyError, match="best"):
+        board["best"]
+
+
+def test_the_key_of_a_run_is_its_content(sequence):
+    def keys(rules, sequence=sequence, config=CONFIG):
+        return [e.spec.key for e in entries_of(rules, [sequence], seeds=[config.seed], config=config)]
+
+    def mine(ctx):
+        return ctx.cells()
+
+    def edited(ctx):
+        return ctx.cells()[::2]
+
+    edited.__name__ = "mine"
+    base = keys(["uniform", mine])
+    assert base == keys(["uniform", mine])
+    others = [
+        *keys([Entrant("uniform", {"fraction": 0.2}), edited]),
+        *keys(["uniform", mine], config=replace(CONFIG, seed=1)),
+        *keys(["uniform", mine], open_sequence("room", data=CONFIG.data, n_frames=90)),
+    ]
+    assert len({*base, *others}) == 8
+
+
+def test_equal_budgets_and_several_seeds(sequence):
+    rules = [Entrant("uniform", {"fraction": 0.02}), Entrant("dense", size_option="thin")]
+    equal = compare_rules(rules, sequence, CONFIG, budget=Budget(gaussians=200), seeds=2, **QUIET)
+    assert not equal.failed
+    assert all(abs(g.summary("n_gaussians").mean / 200 - 1) <= 0.05 for g in equal.groups)
+    assert len({g.summary("n_steps").mean for g in equal.groups}) == 1
+    assert " ± " in repr(equal)
+    assert "not equal" not in repr(equal)
+
+
+@pytest.mark.parametrize("how", ["answer", "Ctrl-C"])
+def test_a_stop_between_frames_keeps_what_has_finished(sequence, how):
+    seen, rules = [], ["uniform", Entrant("uniform", {"fraction": 0.3 if how == "answer" else 0.4})]
+
+    def stop_in_the_second(progress):
+        seen.append(progress)
+        if progress.run == 1 and how == "Ctrl-C":
+            raise KeyboardInterrupt
+        return progress.run == 1
+
+    board = compare_rules(rules, sequence, CONFIG, on_progress=stop_in_the_second)
+    assert [g.label for g in board.groups] == ["uniform"]
+    assert not board.complete
+    assert seen[-1].frame == 1
+    assert all(0 <= p.share <= 1 for p in seen)
+
+
+def test_a_rule_that_fails_does_not_spoil_the_others(sequence):
+    def faulty(ctx):
+        raise IndexError("7 is out of range")
+
+    def silent(ctx):
+        return None
+
+    rules = [faulty, silent, "uniform"]
+    board = compare_rules(rules, sequence, CONFIG, **QUIET)  # pyright: ignore[reportArgumentType]
+    assert board.failed["faulty"] == "IndexError: 7 is out of range"
+    assert "NoneType" in board.failed["silent"]
+    assert board.complete
+    assert board["uniform"].runs
+    assert "faulty did not run" in repr(board)
+
+
+def test_what_cannot_be_compared_is_refused_before_anything_runs(sequence):
+    with pytest.raises(TypeError, match="fration"):
+        compare_rules(["uniform", Entrant("uniform", {"fration": 0.2})], sequence, CONFIG)
+    with pytest.raises(ValueError, match="uniform twice"):
+        compare_rules(["uniform", "uniform"], sequence, CONFIG)
+    with pytest.raises(ValueError, match="no rule"):
+        compare_rules([], sequence, CONFIG)
+    with pytest.raises(KeyError, match="nonsense"):
+        compare_rules(["nonsense"], sequence, CONFIG)
+    unseen = dataclasses.replace(CONFIG, data=dataclasses.replace(CONFIG.data, hold_out_every=0))
+    with pytest.raises(ValueError, match="hold_out_every"):
+        compare_rules(["uniform"], open_sequence("room", data=unseen.data, n_frames=60), unseen)
