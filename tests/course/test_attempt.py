@@ -2,12 +2,11 @@
 
 import dataclasses
 
-import numpy as np
 import pytest
 import torch
 
 from gsfusion_nb.course import check
-from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten, close, describe, unpack
+from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten, close
 from gsfusion_nb.course.exercise import Wrong, exercise, exercises
 from gsfusion_nb.course.progress import read_section
 
@@ -62,13 +61,6 @@ def test_a_verdict_is_green_red_or_grey(twice):
     assert "gsnb-failed" in red._repr_html_()
     assert "gsnb-not-written" in twice(lambda x: None)._repr_html_()
     assert twice(3).prop == "it is a function"
-
-
-def test_a_message_says_which_value_and_writes_whole_numbers_out():
-    with pytest.raises(Failed, match=r"got 3 for cy, expected 4: half as far$"):
-        close([1.0, 3.0], [1.0, 4.0], "it is", on="1", why="half as far", names=("cx", "cy"))
-    with pytest.raises(Failed, match=r"got 0 at \[0\], expected 21340172$"):
-        close([-0.0], [21340172], "it is", on="1")
 
 
 def test_text_from_a_student_cannot_break_the_page(twice):
@@ -204,22 +196,6 @@ def test_close_says_what_came(got, expected, says):
     assert (e.value.prop, e.value.on) == ("it is right", "this")
 
 
-def test_close_accepts_what_is_close():
-    close(torch.tensor([1000.001]), [1000.0], "p", on="x")
-    close(True, 1, "p", on="x")
-    close([float("inf")], [float("inf")], "p", on="x")
-    with pytest.raises(Failed):
-        close(1.01, 1.0, "p", on="x")
-
-
-def test_numpy_and_generators_are_accepted(twice):
-    assert twice(lambda x: (2 * x).numpy())
-    assert twice(lambda x: (2 * v for v in x))
-    assert twice(lambda x: [np.float32(2) * float(v) for v in x])
-    assert twice(lambda x: [2 * x[0]])
-    assert check.split_cell(lambda x, y, w, h: np.array(split(x, y, w, h)))
-
-
 def test_what_the_judge_cannot_use_is_told(twice):
     def awkward(attempt):
         """Double a number."""
@@ -241,10 +217,3 @@ def test_no_answer_makes_a_checker_raise(name):
         lambda v: (w for w in [v]),
     ):
         assert exercises()[name](lambda *a, spoil=spoil, **k: spoil(solution(*a, **k))).state == "failed"
-
-
-def test_words():
-    assert describe([torch.zeros(5, 2), 3, [1, 2], None]) == "a tensor [5, 2], 3, a list of 2, a NoneType"
-    assert unpack((1, 2), ("a", "b"), on="x") == (1, 2)
-    with pytest.raises(Failed, match="it returns a, b"):
-        unpack(torch.zeros(2), ("a", "b"), on="x")

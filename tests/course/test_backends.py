@@ -7,7 +7,7 @@ import torch
 from numba import njit
 
 from gsfusion_nb.compare.roofline import ADAM_FLOATS, ADAM_FLOPS, Roofs
-from gsfusion_nb.course import backends, check
+from gsfusion_nb.course import backends
 from gsfusion_nb.tsdf import tsdf_update
 from gsfusion_nb.viz.panels.stage_bars import sped_up
 
@@ -36,13 +36,3 @@ def test_the_loop_compiles_and_agrees_with_the_library():
     right_D, right_W = tsdf_update(*t, truncation_m=1.0, max_weight=5.0)
     np.testing.assert_allclose(new_D, right_D.numpy(), atol=1e-6)
     np.testing.assert_allclose(new_W, right_W.numpy())
-
-
-def test_an_answer_in_vectors_also_passes():
-    def vectors(D, W, d, max_weight):
-        seen = d >= -1
-        W_new = np.minimum(W + 1, max_weight)
-        mean = (D * (W_new - 1) + np.minimum(d, 1)) / W_new
-        return np.where(seen, mean, D), np.where(seen, W_new, W)
-
-    assert check.average_loop(vectors)

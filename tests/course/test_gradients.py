@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import gsfusion_nb
-from gsfusion_nb.course import check, gradients
+from gsfusion_nb.course import gradients
 from gsfusion_nb.course.gradient_check import central_difference, compare_gradients
 from gsfusion_nb.course.source_lines import source_lines
 from gsfusion_nb.render import project_gaussians
@@ -52,19 +52,6 @@ def test_an_input_without_influence_has_zero_gradient():
     assert table
 
 
-def test_the_given_v_is_used():
-    table = compare_gradients(
-        lambda a: a.sum(), lambda v, a: v * torch.ones_like(a), {"a": X}, v=torch.tensor(3.0, dtype=F64)
-    )
-    torch.testing.assert_close(table.rows[0].difference, torch.full((3,), 3.0, dtype=F64))
-
-
-def test_inputs_are_left_alone():
-    before = X.clone()
-    compare_gradients(torch.sin, lambda v, x: v * x.cos(), {"x": X})
-    assert torch.equal(before, X)
-
-
 def test_all_solutions_pass_three_ways():
     v_C = torch.tensor([0.3, -1.0, 0.5], dtype=F64)
     alpha, rgb = torch.tensor([0.5, 0.8, 0.3], dtype=F64), torch.rand(3, 3, dtype=F64)
@@ -78,10 +65,6 @@ def test_all_solutions_pass_three_ways():
         return torch.stack([90 * p[0] / p[2], 110 * p[1] / p[2]])
 
     assert compare_gradients(pinhole, lambda v, p: gradients._pinhole_vjp(p, 90.0, 110.0, v), {"p": X})
-
-
-def test_a_numpy_answer_also_passes():
-    assert check.l1_gradient(lambda a, b: ((a > b).numpy() * 1.0 - (a < b).numpy() * 1.0) / a.numel())
 
 
 def test_source_lines_find_a_line_with_its_number(monkeypatch):

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from gsfusion_nb.config import gsfusion
-from gsfusion_nb.course import check, mapping
+from gsfusion_nb.course import mapping
 from gsfusion_nb.course.paper_tables import PAPER_TABLES, PaperComparison
 from gsfusion_nb.mapping import GSFusion
-from gsfusion_nb.optim import Keyframe, KeyframeList
+from gsfusion_nb.optim import Keyframe
 
 
 def test_the_reference_step_maps_as_the_library_does():
@@ -26,22 +26,6 @@ def test_the_plan_is_the_librarys():
     assert numbers == (5, 3, 2)  # paper, section IV-A.4, Replica
     assert mapping._plan_frame(51, 3, *numbers, gsfusion().keyframe_min_seeds) == (True, 5, 0)
     assert mapping._plan_frame(50, 3, *numbers, gsfusion().keyframe_min_seeds) == (False, 3, 2)
-
-
-def test_the_draw_is_the_librarys():
-    frames = KeyframeList()
-    for k in range(7):
-        frames.append(mapping._wall(k))
-    drawn = frames.draw(3, torch.Generator().manual_seed(5))
-    ours = mapping._draw_keyframes(7, 3, torch.Generator().manual_seed(5))
-    assert [k.index for k in drawn] == ours.tolist()
-
-
-def test_another_right_draw_passes():
-    def by_noise(n, count, generator):
-        return torch.rand(n, generator=generator).argsort()[:count]
-
-    assert check.draw_keyframes(by_noise)
 
 
 def test_the_log_tells_key_frames_from_frames():

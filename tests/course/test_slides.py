@@ -42,10 +42,6 @@ def test_a_deck_has_predictions_a_demonstration_and_questions(deck):
         assert int(question[1]) <= len(exercises()[question[0]].wrong)
 
 
-def test_there_is_a_deck_for_each_week():
-    assert [deck.stem for deck in DECKS] == [f"week_{n}" for n in range(1, 7)]
-
-
 def test_what_is_missing_is_named(chapters, tmp_path):
     deck = tmp_path / "week_9.md"
     for text, said in (
@@ -56,20 +52,3 @@ def test_what_is_missing_is_named(chapters, tmp_path):
         deck.write_text(text)
         with pytest.raises(ValueError, match=said):
             slides.prepare(deck, chapters, tmp_path / "out")
-
-
-def test_what_a_page_would_load_from_elsewhere_is_found():
-    assert slides.loads_from_elsewhere('<script src="https://cdn.example/x.js">')
-    assert slides.loads_from_elsewhere(
-        "<style>@import 'https://fonts.example/a.css'; b {c: url(//d.example/e)}</style>"
-    )
-    assert not slides.loads_from_elsewhere('<a href="https://example.org">x</a><img src="figures/a.png">')
-
-
-def test_a_missing_program_is_a_sentence(tmp_path):
-    source = tmp_path / "slides"
-    source.mkdir()
-    for name in ("theme.css", "marp.config.mjs", "week_1.md"):
-        (source / name).write_text("")
-    with pytest.raises(RuntimeError, match="was not found: install Node"):
-        slides.build(source, ROOT / "notebooks", tmp_path / "out", marp="no-such-program-here")

@@ -4,7 +4,7 @@ import torch
 
 from gsfusion_nb.course import check, splatting
 from gsfusion_nb.geometry import quaternion
-from gsfusion_nb.render import composite, project_gaussians, tile_intersections
+from gsfusion_nb.render import project_gaussians, tile_intersections
 from gsfusion_nb.types import Camera
 from gsfusion_nb.viz.panels.one_gaussian import gaussian_row, orientation_from_angles
 
@@ -33,26 +33,6 @@ def test_the_tiles_contain_the_librarys():
     x0, x1, y0, y1 = splatting._tiles_touched(u, v, float(p.extent_px.max()), 80, 60, tiles.tile_px)
     listed = {(int(t) % tiles.tiles_x, int(t) // tiles.tiles_x) for t in tiles.offset.diff().nonzero()}
     assert listed <= {(x, y) for x in range(x0, x1) for y in range(y0, y1)}
-
-
-def test_the_blending_is_the_librarys():
-    p = project_gaussians(one(0.0), CAMERA, torch.eye(4))
-    rgb = torch.tensor([[0.25, 0.55, 0.9]])
-    image = composite(p.uv, p.conic, p.opacity, rgb, p.depth_m, tile_intersections(p, CAMERA), CAMERA)
-    colour, left = splatting._composite_pixel(image.alpha[28, 38][None], rgb)
-    torch.testing.assert_close(colour, image.rgb[28, 38])
-    torch.testing.assert_close(1 - left, image.alpha[28, 38])
-
-
-def test_a_loop_in_numpy_numbers_also_passes():
-    def loop(alpha, rgb):
-        T, colour = 1.0, [0.0, 0.0, 0.0]
-        for a, c in zip(alpha.tolist(), rgb.tolist(), strict=True):
-            colour = [s + a * T * x for s, x in zip(colour, c, strict=True)]
-            T *= 1 - a
-        return colour, T
-
-    assert check.composite_pixel(loop)
 
 
 def test_a_forgotten_second_result_is_named():

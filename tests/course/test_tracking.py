@@ -4,31 +4,8 @@ import torch
 
 from gsfusion_nb.course import exercises
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tracking import Tracker, point_to_plane
 
 SOLUTIONS = {name: e._solution for name, e in exercises().items() if e.chapter == 8}
-
-
-def test_chapter_8_has_six():
-    steps = {"point_to_plane", "gauss_newton", "predict", "spread_correction", "relative_error", "graph_step"}
-    assert set(SOLUTIONS) == steps
-
-
-def test_residual_and_jacobian_are_the_librarys(generator):
-    p, q, n = (torch.randn(9, 3, generator=generator) for _ in range(3))
-    for mine, library in zip(SOLUTIONS["point_to_plane"](p, q, n), point_to_plane(p, q, n), strict=True):
-        assert torch.equal(mine, library)
-
-
-def test_prediction_is_the_trackers():
-    from gsfusion_nb.tracking.tracker import _TrackedPose
-
-    before = se3.exp(torch.tensor([0.1, 0.0, 0.2, 0.0, 0.1, 0.0], dtype=torch.float64))
-    last = se3.exp(torch.tensor([0.2, 0.1, 0.2, 0.1, 0.3, 0.0], dtype=torch.float64))
-    tracker = Tracker()
-    tracker._before = _TrackedPose(T_WC=before, timestamp_s=0.0)
-    tracker._last = _TrackedPose(T_WC=last, timestamp_s=0.1)
-    assert torch.allclose(SOLUTIONS["predict"](before, last), tracker.predict(0.2), atol=1e-9)
 
 
 def test_a_few_steps_of_the_students_icp_arrive(generator):

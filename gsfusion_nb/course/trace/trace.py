@@ -1,20 +1,286 @@
-"""Follow a pixel, a voxel or a Gaussian through everything that a mapper does to it."""
+"""Follow a pixel, a voxel or a Gaussian through everything that a mapper does to it.
+
+The operations that the mapper runs are turned into records, without changing them."""
 
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import torch
+from torch import Tensor
+
 from ...backends import observing
 from ...checks import check_whole
-from .held import HeldRecords
-from .identity import Identities
-from .moment import Moment
-from .of_gaussian import GaussianTrace, gaussian_moment, seeded
-from .of_pixel import PixelTrace, pixel_moment
-from .of_voxel import Voxel, VoxelFused, VoxelTrace, voxel_moment
-from .recorder import Recorder
-from .records import Record, SeedingRecord
+from ...geometry import se3
+from ...optim.adam import ColumnRates
+from ...seeding import rule_name
+from ...tsdf.integrate import blocks_in_view
+from ...types import GaussianParams
+from .gaussian import GaussianTrace, Moment, gaussian_moment, seeded
+from .identity import Identities, origin_of
+from .pixel_and_voxel import PixelTrace, Voxel, VoxelFused, VoxelTrace, pixel_moment, voxel_moment
+from .records import AdamColumn, FusionRecord, HeldRecords, PastRecord, Record, SeedingRecord, StateRecord, StepRecord
+
+STATES = ("state", "confidence", "colour_errors", "depth_errors", "frames_in_view")
+
+Call = Callable[..., Any]
+
+
+class Recorder:
+    """The observer of one mapper (``gsfusion_nb.backends``).
+
+    Args:
+        mapper: What is observed.
+        identities: Of the rows of its map.
+        add: Takes each record.
+    """
+
+    def __init__(self, mapper: Any, identities: Identities, add: Callable[[Record], None]):
+        self.mapper, self.identities, self._add = mapper, identities, add
+        self.serial = 0
+        self.frame_index: int | None = None
+        self._asking: dict[str, Any] | None = None
+        self._step: dict[str, Any] | None = None
+        self._seeding: SeedingRecord | None = None
+        self._editing = False
+        self._optimiser: Any = None
+        self._last: dict[str, AdamColumn] = {}
+        self._handlers = {
+            "quadtree": self._quadtree,
+            "sample_voxels": self._sample,
+            "sample_fused_voxels": self._sample,
+            "apply_rule": self._apply_rule,
+            "GaussianModel.append": self._append,
+            "apply_edit": self._apply_edit,
+            "change_states": self._change_states,
+            "fuse_with_history": self._fuse_with_history,
+            "GSFusion._optimise_view": self._optimise_view,
+            "SurfelOptimiser.step": self._surfel_step,
+            "render_forward": self._render_forward,
+            "disc_depth": self._disc_depth,
+            "render_vjp": self._render_vjp,
+            "adam_step": self._adam_step,
+            "adam_update_map": self._adam_update_map,
+            "RowAdam.step": self._row_adam,
+            "fuse_frame_": self._fuse_frame,
+        }
+
+    def __call__(self, name: str, f: Call, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+        """Run ``f`` and record what it did."""
+        handler = self._handlers.get(name)
+        return f(*args, **kwargs) if handler is None else handler(f, args, kwargs)
+
+    def begin(self, frame_index: int | None) -> None:
+        """A frame begins, or a step after the scan."""
+        self.frame_index = frame_index
+        self._asking = self._step = self._seeding = self._optimiser = None
+        self._editing = False
+
+    def _next(self) -> dict[str, Any]:
+        self.serial += 1
+        return {"serial": self.serial - 1, "frame_index": self.frame_index}
+
+    def _quadtree(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        cells = f(*args, **kwargs)
+        if self._asking is not None:
+            self._asking["cells"] = cells
+        return cells
+
+    def _sample(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        sample = f(*args, **kwargs)
+        if self._asking is not None and args:
+            self._asking |= {"asked_xyz_W": args[-1], "asked_W": sample.W, "asked_D": sample.D}
+        return sample
+
+    def _apply_rule(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        rule, ctx = args[:2]
+        self._asking = {"cells": None, "asked_xyz_W": None, "asked_W": None, "asked_D": None}
+        try:
+            seeds = f(*args, **kwargs)
+        finally:
+            asked, self._asking = self._asking, None
+        self._seeding = SeedingRecord(**self._next(), frame=ctx.frame, rule=rule_name(rule), seeds=seeds, **asked)
+        self._add(self._seeding)
+        return seeds
+
+    def _append(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        model, seeds = args[:2]
+        if model is not self.identities.model:
+            return f(*args, **kwargs)
+        before = len(model)
+        out = f(*args, **kwargs)
+        asked = self._seeding
+        mine = asked is not None and asked.seeds is seeds and len(seeds) > 0
+        rule = rule_name(self.mapper.rule)
+        more = origin_of(asked, seeds) if mine and asked is not None else {}
+        cause = "added by the rule" if self._editing else "seed"
+        self.identities.appended(len(model) - before, cause, self.frame_index, rule, more)
+        return out
+
+    def _apply_edit(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        model, edit = args[:2]
+        if model is not self.identities.model:
+            return f(*args, **kwargs)
+        plain = edit.resolved(model.params.sh, "state" in model.columns)
+        ids, count = self.identities.now(), self.identities.count
+        self._editing = True
+        try:
+            origin = f(*args, **kwargs)
+        finally:
+            self._editing = False
+        self.identities.edited(plain, ids, count, origin, self._next(), rule_name(self.mapper.rule))
+        return origin
+
+    def _change_states(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        model = args[0]
+        if model is not self.identities.model:
+            return f(*args, **kwargs)
+        ids, before = self.identities.now(), {name: getattr(model, name).clone() for name in STATES}
+        out = f(*args, **kwargs)
+        after, numbers = self.identities.now(), self._next()
+        states = {name: getattr(model, name).clone() for name in STATES}
+        self._add(StateRecord(**numbers, ids=ids, before=before, ids_after=after, after=states))
+        self.identities.ended(ids, after, "removed by the management of states", numbers)
+        return out
+
+    def _fuse_with_history(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        out = f(*args, **kwargs)
+        if self._optimiser is not None and len(args) == 4 and len(args[0]) == self._optimiser.n:
+            before, optimised, eta, eta_after = args
+            self._add(
+                PastRecord(
+                    **self._next(), ids=self.identities.now()[self._optimiser.rows.cpu()],
+                    confidence_before=eta.clone(), confidence_after=eta_after.clone(), before=_copies(before),
+                    optimised=_copies(optimised), fused=_copies(out),
+                )
+            )  # fmt: skip
+        return out
+
+    def _optimise_view(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        mapper, view = args[:2]
+        if mapper is not self.mapper:
+            return f(*args, **kwargs)
+        self._step = {"view_index": view.index, "target": view.colour if hasattr(view, "colour") else view.rgb_u8}
+        self._step |= {"ids": self.identities.now(), "rows": None} | self._next()
+        loss, mse = f(*args, **kwargs)
+        self._end_step(loss)
+        return loss, mse
+
+    def _surfel_step(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        optimiser, view = args[:2]
+        rows = optimiser.drawn.cpu()
+        self._optimiser = optimiser
+        ids = self.identities.now()[rows]
+        self._step = {"view_index": view.index, "target": view.rgb, "ids": ids, "rows": rows} | self._next()
+        loss = f(*args, **kwargs)
+        self._end_step(loss.total)
+        return loss
+
+    def _end_step(self, loss: Tensor) -> None:
+        step, self._step = self._step, None
+        if step is None or "screen" not in step or "adam" not in step:
+            return
+        at = step.pop("view_index")
+        stage = "passes" if self.frame_index is None else "frame" if at == self.frame_index else "keyframe"
+        seen: dict[str, Any] = {"hit_index": None, "disc_depth_m": None} | step
+        self._add(StepRecord(stage=stage, view_index=at, loss=loss, **seen))
+
+    def _render_forward(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        output, saved = f(*args, **kwargs)
+        if self._step is not None and "screen" not in self._step:
+            self._step |= {"screen": saved.screen, "rgb": output.rgb, "alpha": output.alpha, "camera": args[1]}
+            self._step |= {"T_WC": args[2].clone(), "hit_index": output.hit_index}
+        return output, saved
+
+    def _disc_depth(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        out = f(*args, **kwargs)
+        if self._step is not None:
+            self._step["disc_depth_m"] = out.depth_m
+        return out
+
+    def _render_vjp(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        if self._step is not None and len(args) > 1:
+            self._step["v_rgb"] = args[1]
+        return f(*args, **kwargs)
+
+    def _adam_step(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        model, gradients = args[:2]
+        if self._step is None or model is not self.mapper.gaussians:
+            return f(*args, **kwargs)
+        moments = (model.params, model.exp_avg, model.exp_avg_sq)
+        before = [self._shared(_copies(rows), kind) for rows, kind in zip(moments, _KINDS, strict=True)]
+        out = f(*args, **kwargs)
+        after = [_copies(rows) for rows in moments]
+        self._set_adam(before, vars(gradients), after)
+        return out
+
+    def _adam_update_map(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        if self._step is not None:
+            rates: ColumnRates = kwargs["rates"]
+            t = args[4]
+            self._step["rates"] = rates.by_column(args[0].sh)
+            self._step["t"] = t.clone() if isinstance(t, Tensor) else t
+        return f(*args, **kwargs)
+
+    def _row_adam(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        adam, gradients = args[:2]
+        if self._step is None:
+            return f(*args, **kwargs)
+        names, n = list(adam._rates), len(adam.params)
+
+        def now() -> list[dict[str, Tensor]]:
+            m, v = ({name: adam._moments[name][k].clone() for name in names} for k in range(2))
+            return [{name: getattr(adam.params, name).clone() for name in names}, m, v]
+
+        before = now()
+        out = f(*args, **kwargs)
+        self._set_adam(before, {name: getattr(gradients, name)[:n].clone() for name in names}, now())
+        self._last = {}
+        self._step |= {"t": adam.steps, "rates": dict(adam._rates)}
+        return out
+
+    def _set_adam(self, before: list[dict], gradients: dict[str, Tensor], after: list[dict]) -> None:
+        assert self._step is not None
+        columns = {
+            name: AdamColumn(
+                before=before[0][name], gradient=gradients[name], m_before=before[1][name], v_before=before[2][name],
+                after=after[0][name], m_after=after[1][name], v_after=after[2][name],
+            )
+            for name in before[0]
+        }  # fmt: skip
+        self._step["adam"] = self._last = columns
+
+    def _shared(self, values: dict[str, Tensor], kind: str) -> dict[str, Tensor]:
+        """The values, as the tensors that the last step ended with where these are equal: they are then held once."""
+        out = {}
+        for name, value in values.items():
+            last = getattr(self._last[name], kind) if name in self._last else None
+            out[name] = last if last is not None and torch.equal(last, value) else value
+        return out
+
+    def _fuse_frame(self, f: Call, args: tuple, kwargs: dict) -> Any:
+        volume, frame = args[:2]
+        if volume is not getattr(self.mapper, "volume", None):
+            return f(*args, **kwargs)
+        rows = blocks_in_view(volume, frame.camera, se3.inverse(frame.T_WC.double()))
+        before = volume.D[rows], volume.W[rows]
+        out = f(*args, **kwargs)
+        self._add(
+            FusionRecord(
+                **self._next(), frame=frame, config=volume.config, coords=volume.block_coords[rows].clone(),
+                D_before=before[0], W_before=before[1], D_after=volume.D[rows], W_after=volume.W[rows],
+            )
+        )  # fmt: skip
+        return out
+
+
+_KINDS = ("after", "m_after", "v_after")
+
+
+def _copies(params: GaussianParams) -> dict[str, Tensor]:
+    return {name: value.clone() for name, value in vars(params).items()}
+
 
 MEMORY_BYTES = 256 * 2**20
 """Usual limit of what a trace holds."""
