@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..gaussians import surfels as states
+from ..gaussians import surfels
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 MIN_COSINE = 0.5
@@ -216,10 +216,10 @@ def _any_errors(stable: bool, eta: int, errors: int, age: int) -> str:
 
 
 _CODES = {
-    STAYS: states.STAYS,
-    BECOMES_STABLE: states.BECOMES_STABLE,
-    BECOMES_UNSTABLE: states.BECOMES_UNSTABLE,
-    DELETED: states.DELETED,
+    STAYS: surfels.STAYS,
+    BECOMES_STABLE: surfels.BECOMES_STABLE,
+    BECOMES_UNSTABLE: surfels.BECOMES_UNSTABLE,
+    DELETED: surfels.DELETED,
 }
 
 

@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 from ..config import TsdfConfig
-from ..tsdf import octree as morton
-from ..tsdf import tsdf_update
+from ..tsdf import octree, tsdf_update
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 
@@ -243,13 +242,13 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
             known[xyz] = int(yours(*xyz, gives={"the code": one}))
         return known[xyz]
 
-    rows = (coords.long() + morton.OFFSET).tolist()
+    rows = (coords.long() + octree.OFFSET).tolist()
     codes = [sum(ten_bits(*(c >> shift & 1023 for c in row)) << 3 * shift for shift in (0, 10, 20)) for row in rows]
     return torch.tensor(codes, dtype=torch.int64, device=coords.device)
 
 
 @exercise(
-    chapter=2, difficulty=3, minutes=15, solution=_morton, ready_made=(morton.encode,),
+    chapter=2, difficulty=3, minutes=15, solution=_morton, ready_made=(octree.encode,),
     becomes=Becomes("interleave", _as_interleave),
     hints=(
         "Bit i of x is (x >> i) & 1. Where must it go?",
@@ -276,8 +275,8 @@ def morton_code(attempt: Attempt) -> None:
         code = int(attempt.on(on)(*coords))
         parent = int(attempt.on(on)(*(c // 2 for c in coords)))
         close(code >> 3, parent, "the parent's code is code >> 3", on=on)
-        origin = int(morton.encode(torch.zeros(1, 3, dtype=torch.int64)))
-        library = int(morton.encode(torch.tensor([coords]))) - origin
+        origin = int(octree.encode(torch.zeros(1, 3, dtype=torch.int64)))
+        library = int(octree.encode(torch.tensor([coords]))) - origin
         close(code, library, "it agrees with gsfusion_nb.tsdf.octree.encode, minus the code of the origin", on=on)
 
 

@@ -27,8 +27,9 @@ INT16_ONE = 32767.0
 LEAST_COLOUR_WEIGHT = 1e-3
 """Of a colour, also one from outside the band, as long as the voxel has had little."""
 
-LITTLE_COLOUR = 0.0495
-"""A voxel whose weight of colour is below this has had little: less than fifty colours from outside the band."""
+LITTLE_COLOUR = 49.5 * LEAST_COLOUR_WEIGHT
+"""A voxel whose weight of colour is below this has had little: less than fifty colours from outside the band. The limit
+is halfway between 49 and 50 of them, because their sum in float32 is not exact."""
 
 NEAREST_COLOUR_M = 0.1
 """Colours seen from nearer count as from here."""

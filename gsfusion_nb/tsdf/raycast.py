@@ -102,14 +102,15 @@ def _surface_depths(volume: TsdfVolume, T_WC: Float[Tensor, "4 4"], ray_W: Float
 def _distance_at(volume: TsdfVolume, point_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
     """D at points, NaN where not observed; and whether their block is allocated.
 
-    D is that of the voxel that holds the point and, close to a surface, the interpolated one.
+    Far from a surface the voxel that holds the point says how far the ray may go, and reading one voxel is quick. Close
+    to a surface the sign matters, so D is interpolated between the eight voxels around the point.
     """
-    at = volume.find_voxels(volume.voxel_index(point_W))
-    D = volume.D.view(-1)[at].where(volume.observed(at), torch.nan)
+    voxel = volume.find_voxels(volume.voxel_index(point_W))
+    D = volume.D.view(-1)[voxel].where(volume.observed(voxel), torch.nan)
     close = D.abs() * volume.config.truncation_m < CLOSE_VOXELS * volume.config.voxel_size_m
-    smooth, valid = volume.interpolate(point_W[close])
-    D[close] = smooth.where(valid, D[close])
-    return D, at >= 0
+    interpolated, valid = volume.interpolate(point_W[close])
+    D[close] = interpolated.where(valid, D[close])
+    return D, voxel >= 0
 
 
 def _to_block_exit(

@@ -58,11 +58,6 @@ def test_a_folder_without_permission_is_named_in_full(tmp_path, capsys, monkeypa
     assert "--out" in said
 
 
-def test_sentences_stay_as_they_are(tmp_path, capsys):
-    assert cli.main(["map", str(tmp_path / "nowhere")]) == 1
-    assert "unexpected error" not in capsys.readouterr().err
-
-
 def test_data_scripts_too(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert fetch.run("tum.py", lambda: [][3]) == 1

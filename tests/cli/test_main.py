@@ -94,16 +94,6 @@ def test_a_bad_option_is_refused(option, value, sentence, capsys):
     assert sentence in capsys.readouterr().err
 
 
-def test_help_names_the_commands(capsys):
-    assert main([]) == 0
-    first = capsys.readouterr().out
-    assert len(first.splitlines()) < 15
-    assert all(f"gsfusion-nb {name}" in first for name in ("doctor", "demo", "course DIR", "--help"))
-    assert main(["--help"]) == 0
-    text = capsys.readouterr().out
-    assert all(f"gsfusion-nb {name}" in text for name in ("demo", "map", "eval", "bench", "doctor", "doctor --warm"))
-
-
 def test_doctor_warm_compiles_ahead(capsys):
     assert main(["doctor", "--warm"]) == 0
     assert "compiled" in capsys.readouterr().out

@@ -91,7 +91,7 @@ def test_columns_that_cannot_be_written_are_refused():
     rates = ColumnRates(*[0.1] * 6)
     flat = dataclasses.replace(ones(), quat=torch.ones(4).expand(2, 4))
     adam_update_map(ones(), flat, ones(), ones(), None, rates=rates, **MOMENTS)
-    with pytest.raises(ValueError, match=r"exp_avg.quat is written to and must not be an expanded view, got strides"):
+    with pytest.raises(ValueError, match=r"exp_avg\.quat"):
         adam_update_map(ones(), ones(), flat, ones(), None, rates=rates, **MOMENTS)
 
 

@@ -310,16 +310,3 @@ def test_other_data_than_the_run_s_are_named(scored_run, caplog):
     assert sentence in caplog.text
     warnings = json.loads((folder / "metrics.json").read_text())["warnings"]
     assert sum(sentence in warning for warning in warnings) == 1
-
-
-def test_the_device_of_a_run_may_be_gone_but_not_nonsense(scored_run, monkeypatch):
-    folder, numbers = scored_run("gsfusion", "given")
-    path = folder / "config.json"
-    settings = json.loads(path.read_text())
-    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    path.write_text(json.dumps(settings | {"device": "cuda:0"}))
-    assert rescore(folder)["psnr_mapped_db"] == numbers["psnr_mapped_db"]
-    for device in ("", "meta", None, "a" * 5000):
-        path.write_text(json.dumps(settings | {"device": device}))
-        with pytest.raises(ValueError, match=r"config\.json: device must be cpu or cuda, got "):
-            rescore(folder)

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from gsfusion_nb.tsdf import octree as morton
+from gsfusion_nb.tsdf import octree
 from gsfusion_nb.tsdf.octree import BlockIndex
 
 
@@ -32,7 +32,7 @@ def test_against_a_dictionary(generator):
 
 
 def test_missing_blocks_are_new_sorted_and_different(generator):
-    index, edge = BlockIndex(), morton.OFFSET
+    index, edge = BlockIndex(), octree.OFFSET
     index.insert(torch.randint(-9, 9, (300, 3), generator=generator))
     coords = torch.randint(-12, 12, (500, 3), generator=generator)  # old and new ones, and some twice
     coords = torch.cat([coords, torch.tensor([[edge - 1] * 3, [-edge] * 3])])
@@ -41,7 +41,7 @@ def test_missing_blocks_are_new_sorted_and_different(generator):
         wanted = {tuple(c) for c, row in zip(given.tolist(), index.find(given).tolist(), strict=True) if row < 0}
         assert sorted(map(tuple, new.coords.tolist())) == sorted(wanted)
         assert len(new) == len(wanted)
-        assert torch.equal(new.codes, morton.encode(new.coords))
+        assert torch.equal(new.codes, octree.encode(new.coords))
         assert bool((new.codes.diff() > 0).all())
         assert new.contains(given).tolist() == [tuple(c) in wanted for c in given.tolist()]
         assert len(index) == before
@@ -59,7 +59,7 @@ def test_a_table_grows_as_if_it_had_been_made_at_once(generator):
     for size in (2, 3, 20, 21, 40):
         coords = torch.randint(-size, size, (200, 3), generator=generator)
         grown.insert(coords)
-        at_once = BlockIndex.of_blocks(morton.decode(grown.codes))
+        at_once = BlockIndex.of_blocks(octree.decode(grown.codes))
         query = torch.randint(-60, 60, (3000, 3), generator=generator)
         assert torch.equal(grown.rows[at_once.find(query)].where(at_once.find(query) >= 0, -1), grown.find(query))
 
@@ -82,14 +82,14 @@ def test_levels_and_breadth_first_descent(generator):
     index.insert(torch.randint(-9, 9, (100, 3), generator=generator))
     more = torch.randint(-12, 12, (100, 3), generator=generator)
     created = index.descend(more)
-    before = [index.level(k) for k in range(morton.BITS + 1)]
+    before = [index.level(k) for k in range(octree.BITS + 1)]
     index.insert(more)
-    for k in range(morton.BITS + 1):
-        new = created[morton.BITS - k]
+    for k in range(octree.BITS + 1):
+        new = created[octree.BITS - k]
         assert torch.equal(torch.cat([before[k], new]).sort().values, index.level(k))
-    assert index.level(morton.BITS).tolist() == [0]
+    assert index.level(octree.BITS).tolist() == [0]
     # A leaf's row follows its place in the descent.
-    assert index.find(morton.decode(created[-1])).tolist() == list(range(before[0].shape[0], len(index)))
+    assert index.find(octree.decode(created[-1])).tolist() == list(range(before[0].shape[0], len(index)))
     with pytest.raises(ValueError, match="between 0"):
         index.level(22)
 
@@ -102,33 +102,33 @@ def test_rows_of_given_blocks(generator):
 
 
 def test_by_hand():
-    o = morton.OFFSET
+    o = octree.OFFSET
     coords = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 3, 6]]) - o
     # 5 = 101, 3 = 011, 6 = 110 -> bits (z y x) from the top: 1 0 1, 1 1 0, 0 1 1 -> 0b101110011
-    assert morton.encode(coords).tolist() == [0, 1, 2, 4, 0b101110011]
+    assert octree.encode(coords).tolist() == [0, 1, 2, 4, 0b101110011]
 
 
 def test_round_trip(generator):
-    edge = morton.OFFSET
+    edge = octree.OFFSET
     coords = torch.randint(-edge, edge, (5000, 3), generator=generator)
     coords = torch.cat([coords, torch.tensor([[-edge] * 3, [edge - 1] * 3, [0, -1, 1]])])
-    codes = morton.encode(coords)
+    codes = octree.encode(coords)
     assert bool((codes >= 0).all())
-    assert torch.equal(morton.decode(codes), coords)
-    assert morton.decode(morton.encode(coords.to(torch.int32))).dtype == torch.int64
+    assert torch.equal(octree.decode(codes), coords)
+    assert octree.decode(octree.encode(coords.to(torch.int32))).dtype == torch.int64
 
 
 def test_parent_holds_its_eight_children():
     block = torch.tensor([[-3, 4, 7]])
     children = torch.tensor([[2 * -3 + (c & 1), 8 + (c >> 1 & 1), 14 + (c >> 2)] for c in range(8)])
-    parents = morton.encode(children) >> 3
+    parents = octree.encode(children) >> 3
     # One level up, coordinates and their offset are halved.
-    expected = morton.encode(block + morton.OFFSET // 2 - morton.OFFSET)
+    expected = octree.encode(block + octree.OFFSET // 2 - octree.OFFSET)
     assert parents.tolist() == expected.expand(8).tolist()
-    assert (morton.encode(children) & 7).tolist() == list(range(8))
+    assert (octree.encode(children) & 7).tolist() == list(range(8))
 
 
 def test_refuses_what_does_not_fit():
     with pytest.raises(ValueError, match=r"must lie in \[-1048576, 1048576\), got 0 to 1048576"):
-        morton.encode(torch.tensor([[0, 0, morton.OFFSET]]))
-    assert morton.encode(torch.zeros(0, 3, dtype=torch.int64)).shape == (0,)
+        octree.encode(torch.tensor([[0, 0, octree.OFFSET]]))
+    assert octree.encode(torch.zeros(0, 3, dtype=torch.int64)).shape == (0,)
