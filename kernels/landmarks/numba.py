@@ -16,10 +16,10 @@ from torch import Tensor
 
 from gsfusion_nb.tracking.bundle_adjustment import (
     CAUCHY,
-    CONVERGED,
     DAMPING,
     NEAREST_M,
     ROUNDS,
+    SMALLEST_STEP,
     LandmarkRows,
     LandmarkSums,
 )
@@ -121,5 +121,5 @@ def _fit(rows, T, lens):
             b[i] = -b[i]
         solve_into(H, b, xi)
         turn_about_camera(T, xi)
-        if np.abs(xi).max() < CONVERGED:
+        if np.abs(xi).max() < SMALLEST_STEP:
             break
