@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..config import SystemConfig
 from ..config import gsfusion as gsfusion_preset
 from ..data import OpenedSequence, open_sequence
@@ -49,8 +51,8 @@ class Results:
         found: dict[str, None] = {}
         for place in dict.fromkeys((g.scene, g.budget) for g in self.groups):
             here = [g for g in self.groups if (g.scene, g.budget) == place and g.runs]
-            cost, quality = ([g.summary(m).mean for g in here] for m in ("n_gaussians", FIRST_METRIC))
-            found |= {g.label: None for g, best in zip(here, pareto_front(cost, quality), strict=True) if best}  # pyright: ignore
+            cost, quality = (np.array([g.summary(m).mean for g in here]) for m in ("n_gaussians", FIRST_METRIC))
+            found |= {g.label: None for g, best in zip(here, pareto_front(cost, quality), strict=True) if best}
         return list(found)
 
     @property

@@ -54,7 +54,7 @@ def test_preset_is_a_start_that_options_override(tmp_path, capsys):
     assert "(default: 20)" in text
     assert "--help-all" in text
     assert "--optim.lr-xyz" not in text
-    assert text.count(" --") < 40
+    assert text.count(" --") < 50
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_preset_is_a_start_that_options_override(tmp_path, capsys):
         (["map", "room", "--backend", "nubma"], 1, "no backend 'nubma'; known:"),
         (["map", "--resume", "nowhere"], 1, "nowhere does not exist; expected the folder of an interrupted run"),
         (["eval", "nowhere"], 1, "config.json"),
-        (["bench", "fly"], 1, "no bench 'fly'; known: all, checkpoints, latency, map, panels, raster, tsdf"),
+        (["bench", "fly"], 1, "no bench 'fly'"),
         (["bench", "tsdf", "--data", "nowhere"], 1, "nowhere is not a folder"),
         (["fly"], 2, "no command 'fly'"),
     ],

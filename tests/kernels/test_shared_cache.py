@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import pickle
 import subprocess
 import sys
 
@@ -105,5 +106,16 @@ def test_a_number_that_changes_in_another_file_is_compiled_in(tmp_path):
     assert sorted(run(tmp_path, ["int64"])[0]) == ["part", "whole"]
     numbers, before = tmp_path / "trial_numbers.py", (tmp_path / "trial_numbers.py").stat().st_mtime
     os.utime(numbers, (before, before + 10))
+    assert sorted(run(tmp_path, ["int64"])[0]) == ["part", "whole"]
+    assert run(tmp_path, ["int64"]) == [[]]
+
+
+def test_an_index_that_names_a_module_that_is_gone_is_made_again(tmp_path):
+    write_trial(tmp_path)
+    run(tmp_path, ["int64"])
+    for index in (tmp_path / "cache").rglob("*.nbi"):
+        with index.open("rb") as file:
+            version = pickle.load(file)
+        index.write_bytes(pickle.dumps(version) + b"cgsfusion_nb.kernels.renamed\nLayout\n.")
     assert sorted(run(tmp_path, ["int64"])[0]) == ["part", "whole"]
     assert run(tmp_path, ["int64"]) == [[]]

@@ -328,6 +328,7 @@ def test_the_mean_motion_is_taken_back_from_map_and_keyframes(walk):
     mapper.keyframes.move(G.expand(len(mapper.keyframes), 4, 4))
     for k in mapper.keyframes:
         mapper.localiser.refine(k.index, k.T_WC)
+    assert mapper.fits is not None
     mapper.fits.end_pass(mapper.keyframes, mapper.gaussians)
     torch.testing.assert_close(mapper.gaussians.params.xyz_W, xyz_W, atol=1e-5, rtol=0)
     for k in mapper.keyframes:

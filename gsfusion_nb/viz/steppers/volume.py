@@ -232,7 +232,7 @@ RAY_WATCH = {
             "step",
             "ray",
         ),
-        "_distance_at": ("volume.voxel_index(point_W)", "at", "volume.W.view(-1)[at]", "close"),
+        "_distance_at": ("volume.voxel_index(point_W)", "voxel", "volume.W.view(-1)[voxel]", "close"),
         "_zero_crossing": ("z", "z0", "z1", "D0", "D1", "D"),
     }
 }
@@ -288,7 +288,7 @@ def _march(recording: Recording) -> list[Step]:
         known, voxel = bool(sample["allocated"]), tuple(look["volume.voxel_index(point_W)"][0].tolist())
         z_met, D_met = [*z_met, z], [*D_met, D]
         scene = {"z": z, "z_met": z_met, "D_met": D_met, "next": None, "bracket": None}
-        W = float(look["volume.W.view(-1)[at]"]) if known else 0.0
+        W = float(look["volume.W.view(-1)[voxel]"]) if known else 0.0
         numbers = [
             ("depth z", f"{z:.4f} m"), ("point", text_of(sample["point_W"][0]) + " m"), ("voxel", str(voxel)),
             ("block", "allocated" if known else "not allocated"), ("W", text_of(W)), ("D", text_of(D)),

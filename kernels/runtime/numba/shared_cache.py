@@ -65,13 +65,21 @@ class SharedCache(FunctionCache):
         if self._py_func.__module__.startswith(_KERNELS):
             stamp = self._impl.locator.get_source_stamp()
             self._cache_file._source_stamp = (*stamp, newest(imported_files(self._py_func.__module__)))
-        found = super().load_overload(sig, target_context)
+        found = self._saved(sig, target_context)
         if found is None and self._py_func.__module__.startswith(_KERNELS):
             self._hold()
-            found = super().load_overload(sig, target_context)
+            found = self._saved(sig, target_context)
             if found is not None:
                 self.release()
         return found
+
+    def _saved(self, sig, target_context):
+        """What is in the cache, or None; an index that names types of a module that is gone is emptied."""
+        try:
+            return super().load_overload(sig, target_context)
+        except (ImportError, AttributeError):
+            self.flush()
+            return None
 
     def save_overload(self, sig, data):
         """Keep what was compiled and let others read it."""
