@@ -36,7 +36,7 @@ _FORWARD_STATE, _FORWARD_STATE_WITHOUT_HITS = 9 * PIXELS, 8 * PIXELS
 def composite_forward(splats, lists, pixels, image, indices, opaque):
     """Blend every tile's splats into ``image`` and ``indices``.
 
-    splats [N, SPLAT]: see ``project.splat``. pixels: bool [H, W], those to be drawn, or [0, 0] for all.
+    splats [N, SPLAT]: see ``project.layout``. pixels: bool [H, W], those to be drawn, or [0, 0] for all.
     opaque: a hit is the first splat with at least this alpha, even behind the one that finishes the pixel.
     """
     ids, offset = lists.ids, lists.offset

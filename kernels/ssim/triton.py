@@ -15,15 +15,15 @@ from torch import Tensor
 from gsfusion_nb.optim import losses as reference
 
 from ..runtime.triton.launch import device_of, launch, parts
-from . import window
+from . import window as planes
 from .window import window as window_weights
 
 _BLOCK = 256
 _WINDOW = tl.constexpr(reference.WINDOW_PX)
 _HALF = tl.constexpr(reference.WINDOW_PX // 2)
-_X, _Y, _XX, _YY, _XY = (tl.constexpr(n) for n in (window.X, window.Y, window.XX, window.YY, window.XY))
-_BY_MEAN, _BY_SQUARE = tl.constexpr(window.BY_MEAN), tl.constexpr(window.BY_SQUARE)
-_BY_PRODUCT, _N_TERMS = tl.constexpr(window.BY_PRODUCT), tl.constexpr(window.N_TERMS)
+_X, _Y, _XX, _YY, _XY = (tl.constexpr(n) for n in (planes.X, planes.Y, planes.XX, planes.YY, planes.XY))
+_BY_MEAN, _BY_SQUARE = tl.constexpr(planes.BY_MEAN), tl.constexpr(planes.BY_SQUARE)
+_BY_PRODUCT, _N_TERMS = tl.constexpr(planes.BY_PRODUCT), tl.constexpr(planes.N_TERMS)
 _C1, _C2 = tl.constexpr(reference.C1), tl.constexpr(reference.C2)
 
 
@@ -36,8 +36,8 @@ def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor,
     x, y = rgb.detach().contiguous(), target.detach().contiguous()
     total, stride = x.numel(), 3 * x.shape[1]
     programs = parts(total, _BLOCK)
-    means = torch.empty(window.N_MEANS, total, dtype=torch.float32, device=device)
-    terms = torch.empty(window.N_TERMS, total, dtype=torch.float32, device=device)
+    means = torch.empty(planes.N_MEANS, total, dtype=torch.float32, device=device)
+    terms = torch.empty(planes.N_TERMS, total, dtype=torch.float32, device=device)
     similarity = torch.empty(programs, dtype=torch.float32, device=device)
     gradient = torch.empty(rgb.shape, dtype=torch.float32, device=device)
     shared = {

@@ -140,7 +140,7 @@ def test_broken_gaussians_are_not_drawn_and_have_no_gradient(backend):
 
 
 def test_too_many_pairs_are_refused(monkeypatch):
-    module = pytest.importorskip("gsfusion_nb.kernels.binning.host")
+    module = pytest.importorskip("gsfusion_nb.kernels.binning.layout")
     monkeypatch.setattr(module, "MOST_PAIRS", 10)
     frame = make_frame()
     with use_backend("numba"), pytest.raises(ValueError, match=r"pairs are more than 2\^31; draw a smaller image"):

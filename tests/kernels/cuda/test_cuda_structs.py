@@ -110,9 +110,9 @@ def test_a_wrong_group_would_be_found():
 
 def test_rows_have_the_same_columns_everywhere():
     """Splats, the sums of their gradients, and leaves."""
-    splat = importlib.import_module("gsfusion_nb.kernels.project.splat")
-    sums = importlib.import_module("gsfusion_nb.kernels.composite.sums")
-    levels = importlib.import_module("gsfusion_nb.kernels.quadtree.levels")
+    splat = importlib.import_module("gsfusion_nb.kernels.project.layout")
+    sums = importlib.import_module("gsfusion_nb.kernels.composite.layout")
+    levels = importlib.import_module("gsfusion_nb.kernels.quadtree.torch")
     header = source_of(FOLDER / "project" / "splat.cuh")
     names = ["u", "v", "A", "B", "C", "ln_o", "r", "g", "b", "z", "e_u", "e_v"]
     assert [name for name, _ in structs_of(header)["Splat"]] == names
