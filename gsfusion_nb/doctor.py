@@ -25,7 +25,7 @@ from . import __version__, backends
 from .config import SeedingConfig, TsdfConfig, gps_slam, gsfusion, rtg_slam
 from .mapping import GPSSLAM, RTGSLAM, GSFusion
 from .types import Camera, Frame
-from .work import run_in_processes, usable_cores
+from .work import ProgressDisplay, run_in_processes, usable_cores
 
 PACKAGES = (
     "torch", "numpy", "numba", "opencv-python-headless", "kornia", "matplotlib", "jupyterlab",
@@ -85,8 +85,6 @@ def main() -> int:
 
 def warm() -> int:
     """Compile the fast kernels once and show which. Returns 0, or 1 if no fast kernel can run here."""
-    from .work import ProgressDisplay
-
     print("Compiling the fast kernels once, so that programs and notebooks start faster (about a minute) ...")
     progress = None
     with ProgressDisplay("compiling", unit="case") as display:
@@ -135,8 +133,6 @@ def _opencv_twins() -> EnvironmentCheck:
 
 
 def _torch() -> list[EnvironmentCheck]:
-    import torch
-
     (layer, _), n = backends.kernel_threads(), torch.get_num_threads()
     threads = EnvironmentCheck(
         "threads", layer == "tbb", f"{n} for computing; those of the numba kernels are from {layer}",

@@ -7,7 +7,7 @@ import hashlib
 import importlib.util
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +25,7 @@ from ..config import to_dict
 from ..config.values import check_kinds
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..errors import shown
-from ..files import file_hashes, write_file
+from ..files import write_file
 from ..foreign import read_object
 from ..mapping import get_system
 from ..seeding import Option, SeedingRule, is_built_in, registered, rule_files, rule_fingerprint
@@ -56,19 +56,6 @@ def package_fingerprint() -> str:
         for file in sorted(p for p in root.rglob("*") if p.suffix in _CODE):
             digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()
-
-
-def arguments_with_files(arguments: Iterable[str]) -> list[Any]:
-    """Arguments of a command; after each one that names a file, a hash of its content is inserted."""
-    found: list[Any] = []
-    for argument in arguments:
-        found.append(argument)
-        path = Path(argument.partition("=")[2] or argument)
-        if ".py:" in path.name:  # a seeding rule in a file
-            path = path.with_name(path.name.partition(":")[0])
-        if path.is_file():
-            found += file_hashes([path]).values()
-    return found
 
 
 def _source_folders() -> list[Path]:
