@@ -1,6 +1,6 @@
 """Fetch sequences of Augmented ICL-NUIM (Handa et al. 2014, Choi et al. 2015) from Open3D's mirror.
 
-    python data_scripts/icl_nuim.py livingroom1 --out data
+    python data_scripts/icl_nuim.py livingroom1-clean --out data
 
 Synthetic, with true poses and a true surface; the only data set here with public checksums. Written in the plain
 layout: rgb/, depth/, poses.txt, intrinsics.json; groundtruth.ply is the true surface as a point cloud.
@@ -42,7 +42,12 @@ MD5 = {
     "office2-traj.txt": "698f2f09da7d2ed3fcb604889e6f8479",
 }
 """Published in Open3D's data module."""
-SEQUENCES = ("livingroom1", "livingroom2", "office1", "office2")
+SEQUENCES = [
+    f"{name}-{depth}"
+    for name in ("livingroom1", "livingroom2", "office1", "office2")
+    for depth in ("clean", "simulated")
+]
+"""With exact depth, or depth with sensor errors."""
 COLOUR_BYTES, DEPTH_BYTES, CLOUD_BYTES, POSES_BYTES = 400_000_000, 500_000_000, 100_000_000, 600_000
 """Estimated."""
 PRIMESENSE = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "pixel_centre": 0.0}
@@ -70,8 +75,9 @@ def numbered(kind: str, suffix: str):
     return choose
 
 
-def plan(sequence: str, depth: str = "clean", checksums: dict[str, str] = MD5) -> Plan:
+def plan(name: str) -> Plan:
     """Files of one sequence."""
+    sequence, depth = name.split("-")
     room = sequence.rstrip("12")
     kinds = {
         f"{sequence}-color.zip": {"stated_bytes": COLOUR_BYTES, "choose": numbered("rgb", "jpg")},
@@ -83,12 +89,12 @@ def plan(sequence: str, depth: str = "clean", checksums: dict[str, str] = MD5) -
         },
     }
     return Plan(
-        folder=f"icl_nuim/{sequence}-{depth}",
+        folder=f"icl_nuim/{name}",
         title=f"Augmented ICL-NUIM, {sequence}, {'noise-free' if depth == 'clean' else 'simulated'} depth",
         licence="Creative Commons Attribution 3.0 (CC BY 3.0), as ICL-NUIM.",
         cite="Handa, Whelan, McDonald, Davison: A Benchmark for RGB-D VO, 3D Reconstruction and SLAM, 2014; "
         "Choi, Zhou, Koltun: Robust Reconstruction of Indoor Scenes, 2015.",
-        items=[Item(base=HOST, path=name, checksum=f"md5:{checksums[name]}", **kind) for name, kind in kinds.items()],
+        items=[Item(url=f"{HOST}/{file}", checksum=f"md5:{MD5[file]}", **kind) for file, kind in kinds.items()],
         unpacked_bytes=COLOUR_BYTES + DEPTH_BYTES + 3 * CLOUD_BYTES,
         sequences=lambda root: [SequenceOnDisk(preset="replica" if depth == "clean" else "tum")],
         convert=to_plain_layout,
@@ -96,19 +102,8 @@ def plan(sequence: str, depth: str = "clean", checksums: dict[str, str] = MD5) -
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Fetch the sequences named on the command line."""
-    parser = fetch.parser(__doc__ or "")
-    parser.add_argument("sequence", nargs="+", choices=SEQUENCES, help="which sequences")
-    parser.add_argument(
-        "--depth", choices=("clean", "simulated"), default="clean", help="exact depth, or depth with sensor errors"
-    )
-    options = parser.parse_args(arguments)
-
-    def work() -> None:
-        for name in options.sequence:
-            fetch.fetch_data_set(plan(name, options.depth), fetch.fetch_options(options))
-
-    return fetch.run(Path(__file__).name, work)
+    """Fetch what the command line names."""
+    return fetch.run(__doc__ or "", plan, SEQUENCES, arguments)
 
 
 if __name__ == "__main__":

@@ -2,14 +2,12 @@
 
     python data_scripts/replica.py office0 room0 --out data
 
-All eight come in one archive of 12 GB: name all scenes that you need, or use --keep-archives and run the script again.
+All eight come in one archive of 12 GB: name all scenes that you need, or use --keep-archives.
 Each scene gets mesh.ply, the complete mesh, and mesh_culled.ply, the part that the cameras see, for scores of geometry.
 """
 
-import dataclasses
 import re
 import sys
-from pathlib import Path
 
 from gsfusion_nb.recordings import fetch
 from gsfusion_nb.recordings.fetch import Item, Plan, SequenceOnDisk
@@ -41,8 +39,8 @@ def plan(scene: str) -> Plan:
         licence="Replica's research licence (Meta): NON-COMMERCIAL research only; the renderings come from ETH Zurich.",
         cite="Straub et al.: The Replica Dataset, 2019; Zhu et al.: NICE-SLAM, 2022.",
         items=[
-            Item(base=HOST, path="data/Replica.zip", stated_bytes=ARCHIVE_BYTES, choose=frames),
-            Item(base=HOST, path="cull_replica_mesh.zip", stated_bytes=MESHES_BYTES, choose=culled),
+            Item(url=f"{HOST}/data/Replica.zip", stated_bytes=ARCHIVE_BYTES, choose=frames),
+            Item(url=f"{HOST}/cull_replica_mesh.zip", stated_bytes=MESHES_BYTES, choose=culled),
         ],
         unpacked_bytes=SCENE_BYTES,
         sequences=lambda root: [SequenceOnDisk(preset="replica")],
@@ -51,22 +49,8 @@ def plan(scene: str) -> Plan:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Fetch the scenes named on the command line."""
-    parser = fetch.parser(__doc__ or "")
-    parser.add_argument("scene", nargs="+", choices=(*SCENES, "all"), help="which scenes")
-    options = parser.parse_args(arguments)
-    wanted = SCENES if "all" in options.scene else tuple(dict.fromkeys(options.scene))
-
-    def work() -> None:
-        fetch_options = fetch.fetch_options(options)
-        for i, scene in enumerate(wanted):
-            more = i + 1 < len(wanted)
-            fetch.fetch_data_set(
-                plan(scene), dataclasses.replace(fetch_options, keep_archives=fetch_options.keep_archives or more)
-            )
-            fetch_options = dataclasses.replace(fetch_options, yes=True)  # the user agrees once, for the whole archive
-
-    return fetch.run(Path(__file__).name, work)
+    """Fetch what the command line names."""
+    return fetch.run(__doc__ or "", plan, SCENES, arguments)
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ def plan(scene: str) -> Plan:
         title=f"7-Scenes, {scene}: {FRAMES[scene]} frames",
         licence="Microsoft Research licence (MSR-LA): NON-COMMERCIAL use only.",
         cite="Shotton et al.: Scene Coordinate Regression Forests for Camera Relocalization in RGB-D Images, 2013.",
-        items=[Item(base=HOST, path=f"{scene}.zip", stated_bytes=size, choose=choose)],
+        items=[Item(url=f"{HOST}/{scene}.zip", stated_bytes=size, choose=choose)],
         unpacked_bytes=2 * size,  # temporarily both the inner archives and their content
         sequences=sequences,
         convert=unpack_sequences,
@@ -71,16 +71,8 @@ def plan(scene: str) -> Plan:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Fetch the scenes named on the command line."""
-    parser = fetch.parser(__doc__ or "")
-    parser.add_argument("scene", nargs="+", choices=sorted(FRAMES), help="which scenes")
-    options = parser.parse_args(arguments)
-
-    def work() -> None:
-        for scene in options.scene:
-            fetch.fetch_data_set(plan(scene), fetch.fetch_options(options))
-
-    return fetch.run(Path(__file__).name, work)
+    """Fetch what the command line names."""
+    return fetch.run(__doc__ or "", plan, sorted(FRAMES), arguments)
 
 
 if __name__ == "__main__":

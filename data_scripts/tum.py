@@ -4,7 +4,6 @@ python data_scripts/tum.py fr1_desk --out data
 """
 
 import sys
-from pathlib import Path
 
 from gsfusion_nb.recordings import fetch
 from gsfusion_nb.recordings.fetch import Item, Plan, SequenceOnDisk
@@ -43,23 +42,15 @@ def plan(name: str) -> Plan:
         title=f"TUM RGB-D benchmark, {name}",
         licence="Creative Commons Attribution 4.0 (CC BY 4.0).",
         cite="Sturm, Engelhard, Endres, Burgard, Cremers: A Benchmark for the Evaluation of RGB-D SLAM Systems, 2012.",
-        items=[Item(base=HOST, path=f"{camera}/{folder}.tgz", stated_bytes=size, choose=choose)],
+        items=[Item(url=f"{HOST}/{camera}/{folder}.tgz", stated_bytes=size, choose=choose)],
         unpacked_bytes=size,
         sequences=lambda root: [SequenceOnDisk(preset="tum")],
     )
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Fetch the sequences named on the command line."""
-    parser = fetch.parser(__doc__ or "")
-    parser.add_argument("sequence", nargs="+", choices=sorted(SIZES_GB), help="which sequences")
-    options = parser.parse_args(arguments)
-
-    def work() -> None:
-        for name in options.sequence:
-            fetch.fetch_data_set(plan(name), fetch.fetch_options(options))
-
-    return fetch.run(Path(__file__).name, work)
+    """Fetch what the command line names."""
+    return fetch.run(__doc__ or "", plan, sorted(SIZES_GB), arguments)
 
 
 if __name__ == "__main__":

@@ -5,10 +5,12 @@
 
 import gc
 import importlib.util
+import json
 import os
 import re
 import shutil
 import signal
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -20,7 +22,6 @@ from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.data.recorded.poses import write_pose_lines
 from gsfusion_nb.data.room import room
-from gsfusion_nb.recordings.room_layouts import write_intrinsics
 from gsfusion_nb.types import Camera
 from gsfusion_nb.work import usable_cores
 
@@ -303,5 +304,5 @@ def scene(tmp_path_factory):
     poses[:, 0, 3] = torch.arange(7) * STEP_PX * DEPTH_M / WIDTH
     write_pose_lines(folder / "poses.txt", poses)
     camera = Camera(width=WIDTH, height=HEIGHT, fx=float(WIDTH), fy=float(WIDTH), cx=WIDTH / 2, cy=HEIGHT / 2)
-    write_intrinsics(folder / "intrinsics.json", camera, depth_scale=1000.0)
+    (folder / "intrinsics.json").write_text(json.dumps(asdict(camera) | {"depth_scale": 1000.0, "pixel_centre": 0.5}))
     return folder

@@ -7,33 +7,27 @@ compares digests and tries again; a download that is broken off begins anew.
 import argparse
 import json
 import logging
-import os
 import shlex
 import shutil
 import stat
 import sys
 import tarfile
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from ..data.open import open_sequence
 from ..data.sequence import SequenceError
 from ..errors import as_sentence, is_foreseen, shown, unforeseen
-from ..files import atomic_folder, try_lock, write_file
+from ..files import atomic_folder, write_file
 from ..foreign import open_regular
-from ..work import ProgressDisplay
 
 WORK = ".fetch"
 """Folder for downloads and unfinished data sets, in the folder of all data sets."""
 SOURCE = "source.json"
 """In each data set: the files that it was made from, and its licence."""
-MARGIN_BYTES = 200_000_000
-"""Space that must stay free for other users of the disk."""
 LONGEST_HEADER_BYTES = 1 << 20
 """Limit for a header of a tar archive: tarfile holds it in memory, and a small gzipped file can have gigabytes."""
 _IN_MEMORY = (
@@ -44,8 +38,6 @@ ATTEMPTS = 5
 """Downloads of a file before one gives up."""
 TIMEOUT_S = 60.0
 """Longest time without data from the server, seconds."""
-ASSUMED_BYTES_PER_S = 10e6
-"""100 Mbit/s, for the time estimate; university servers are often slower."""
 
 Choose = Callable[[str], str | None]
 """A member's path in the archive -> its path in the data set's folder, or None to leave it out."""
@@ -66,10 +58,7 @@ class ArchiveError(FetchError):
 class Item:
     """One file to download."""
 
-    base: str
-    """Address of the folder on the host; a mirror replaces it."""
-    path: str
-    """Address below ``base``."""
+    url: str
     stated_bytes: int
     """Published or estimated size."""
     checksum: str = ""
@@ -79,10 +68,6 @@ class Item:
     save_as: str = ""
     """For a file that is not an archive: its path in the data set's folder."""
 
-    def url(self, mirror: str = "") -> str:
-        """Address at the host, or at a mirror with the same paths."""
-        return f"{(mirror or self.base).rstrip('/')}/{self.path}"
-
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceOnDisk:
@@ -90,7 +75,6 @@ class SequenceOnDisk:
 
     path: str = "."
     """Folder inside the data set's folder."""
-    format: str = "auto"
     preset: str
     reader: dict[str, Any] = field(default_factory=dict)
     """Options of the layout's reader."""
@@ -98,8 +82,6 @@ class SequenceOnDisk:
     def command(self, folder: Path) -> str:
         """The command that maps it."""
         words = ["gsfusion-nb", "map", str(folder / self.path), "--preset", self.preset]
-        if self.format != "auto":
-            words += ["--format", self.format]
         if self.reader:
             words += ["--reader", *(f"{name}={str(value).lower()}" for name, value in self.reader.items())]
         return shlex.join(words)
@@ -111,7 +93,7 @@ class SequenceOnDisk:
             FetchError: the reader refuses it.
         """
         try:
-            sequence = open_sequence(folder / self.path, format=self.format, **self.reader)
+            sequence = open_sequence(folder / self.path, **self.reader)
             first, last = sequence[0], sequence[len(sequence) - 1]
         except SequenceError as e:
             raise FetchError(f"what was fetched cannot be read as a sequence: {e}") from None
@@ -133,52 +115,32 @@ class Plan:
     licence: str
     """The terms in a sentence."""
     cite: str
-    items: list[Item]
+    items: Sequence[Item] = ()
+    """Nothing to download: ``convert`` makes it from a copy that the user has."""
     unpacked_bytes: int
     """Approximate size on disk in the end; an archive that unpacks to three times of it is refused."""
     sequences: Callable[[Path], list[SequenceOnDisk]]
     """The sequences in the finished folder, and how to map them."""
-    convert: Callable[[Path], None] = lambda folder: None
+    convert: Callable[[Path], object] = lambda folder: None
     """How the unpacked files are processed."""
     note: str = ""
     """A sentence that helps the user to decide."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FetchOptions:
-    """Options that are the same for all data sets."""
+def fetch_data_set(plan: Plan, out: Path) -> None:
+    """Fetch a data set into ``out`` and print how to map it; an existing one is only read again.
 
-    out: Path
-    """Folder of all data sets."""
-    yes: bool = False
-    """The user agrees to download size and licence."""
-    mirror: str = ""
-    """Address of a host with the same paths, instead of the data set's own."""
-    keep_archives: bool = False
-    """Keep the downloaded files in ``.fetch``."""
-    ask: Callable[[str], str] | None = None
-    """Asks the user; None if no user is there."""
-
-
-def fetch_data_set(plan: Plan, options: FetchOptions) -> Path:
-    """Fetch a data set and return its folder.
-
-    An existing data set is only read again. The folder gets its name when it is complete and the reader has opened it.
+    The folder gets its name when it is complete and the reader has opened it. Downloads are kept in ``out/.fetch``.
 
     Raises:
         FetchError: or a subclass; the message says what to do.
     """
-    target = options.out / plan.folder
+    target = out / plan.folder
     if target.exists():
-        say(f"{target} already exists; nothing is fetched (remove or rename it to fetch it again).")
-        _report(plan, target, target)
-        return target
-    say(_described(plan, options))
-    to_download = sum(item.stated_bytes for item in plan.items)
-    require_space(options.out, to_download + plan.unpacked_bytes, f"{plan.folder}, its archives included,")
-    agree(options)
-    with new_folder(target, options.out) as folder:
-        files = [(item, _download(item, options)) for item in plan.items]
+        _say(f"{target} already exists; nothing is fetched (remove or rename it to fetch it again).")
+        return _report(plan, target, target)
+    with atomic_folder(target, out / WORK / "unfinished" / target.name) as folder:
+        files = [(item, _download(item, out)) for item in plan.items]
         try:
             for item, file in files:
                 if item.save_as:
@@ -190,73 +152,53 @@ def fetch_data_set(plan: Plan, options: FetchOptions) -> Path:
             for _, file in files:
                 file.unlink(missing_ok=True)
             raise
-        _write_source(plan, files, options, folder)
+        _write_source(plan, files, folder)
         _report(plan, folder, target)
-    if not options.keep_archives:
-        for _, file in files:
-            file.unlink()
-    return target
+    return None
 
 
-def _described(plan: Plan, options: FetchOptions) -> str:
-    """Contents, size, licence and time of a plan."""
-    to_download = sum(item.stated_bytes for item in plan.items)
+def _described(plan: Plan, out: Path) -> str:
+    """Contents, size and licence of a plan."""
     lines = [plan.title]
     for item in plan.items:
-        check = (
-            f"compared with its published {item.checksum.partition(':')[0]}" if item.checksum else "no checksum public"
-        )
-        lines.append(f"  from     {item.url(options.mirror)} (about {size_text(item.stated_bytes)}; {check})")
+        check = f"compared with its published {item.checksum.partition(':')[0]}" if item.checksum else "no checksum"
+        lines.append(f"  from     {item.url} (about {size_text(item.stated_bytes)}; {check})")
     lines += [
-        f"  to       {options.out / plan.folder} (about {size_text(plan.unpacked_bytes)}; {size_text(to_download)} to "
-        "download)",
-        f"  time     about {duration_text(to_download / ASSUMED_BYTES_PER_S)} to download at 100 Mbit/s",
+        f"  to       {out / plan.folder} (about {size_text(plan.unpacked_bytes)})",
         f"  licence  {plan.licence}",
         f"  cite     {plan.cite}",
     ]
     return "\n".join([*lines, f"  note     {plan.note}"] if plan.note else lines)
 
 
-def agree(options: FetchOptions) -> None:
-    """Return if the user agreed.
-
-    Raises:
-        FetchError: the answer was no, or there is no user to ask and ``yes`` was not given.
-    """
-    if options.yes:
-        return
-    if options.ask is None:
+def _agree() -> None:
+    """Return if the user agrees; raise ``FetchError`` if not, or if there is no user to ask."""
+    if sys.stdin is None or not sys.stdin.isatty():
         raise FetchError(
             "cannot ask whether you agree to size and licence, because this is not a terminal; run again with --yes"
         )
-    try:
-        answer = options.ask("Go on under this licence? [y/N] ")
-    except EOFError:
-        answer = ""
-    if answer.strip().lower() not in ("y", "yes"):
+    if input("Go on under this licence? [y/N] ").strip().lower() not in ("y", "yes"):
         raise FetchError("nothing was fetched")
 
 
-def _download(item: Item, options: FetchOptions) -> Path:
+def _download(item: Item, out: Path) -> Path:
     """The downloaded file of an item; one that is there already, with the published digest if any, is taken."""
     import pooch
     from requests.exceptions import RequestException
 
-    url, place = item.url(options.mirror), options.out / WORK / "downloads"
     pooch.get_logger().setLevel(logging.WARNING)
-    for broken_off in place.rglob("tmp*"):  # of a program that was killed; only one is at work here
-        broken_off.unlink()
+    name = item.url.rpartition("/")[2]
     store = pooch.create(
-        place, base_url="", registry={item.path: item.checksum or None}, urls={item.path: url},
+        out / WORK / "downloads", base_url="", registry={name: item.checksum or None}, urls={name: item.url},
         retry_if_failed=ATTEMPTS - 1,
     )  # fmt: skip
     try:
         shows = sys.stderr is not None and sys.stderr.isatty()
         downloader: Any = pooch.HTTPDownloader(timeout=TIMEOUT_S, progressbar=shows)
-        return Path(store.fetch(item.path, downloader=downloader))
+        return Path(store.fetch(name, downloader=downloader))
     except (RequestException, ValueError) as e:
         raise FetchError(
-            f"{url} could not be downloaded: {e}; {ATTEMPTS} attempts were made, run again later"
+            f"{item.url} could not be downloaded: {e}; {ATTEMPTS} attempts were made, run again later"
         ) from None
 
 
@@ -332,16 +274,13 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
                     yield member.name, source
 
 
-def _write_source(plan: Plan, files: list[tuple[Item, Path]], options: FetchOptions, folder: Path) -> None:
+def _write_source(plan: Plan, files: list[tuple[Item, Path]], folder: Path) -> None:
     """Write the data set's own record: where its files come from, and its licence."""
     import pooch
 
-    date = datetime.now(UTC).isoformat(timespec="seconds")
     downloaded = [
-        {"url": item.url(options.mirror), "size": file.stat().st_size, "sha256": pooch.file_hash(str(file)),
-         "date": date, "published": item.checksum}
-        for item, file in files
-    ]  # fmt: skip
+        {"url": item.url, "sha256": pooch.file_hash(str(file)), "published": item.checksum} for item, file in files
+    ]
     values = {"title": plan.title, "licence": plan.licence, "cite": plan.cite, "files": downloaded}
     write_file(folder / SOURCE, json.dumps(values, indent=1) + "\n")
 
@@ -352,43 +291,7 @@ def _report(plan: Plan, folder: Path, target: Path) -> None:
     if not sequences:
         raise FetchError(f"{folder} holds no sequence")
     for sequence in sequences:
-        say(f"{sequence.prove(folder)}\n  {sequence.command(target)}")
-
-
-@contextmanager
-def new_folder(target: Path, out: Path) -> Iterator[Path]:
-    """A folder to fill, which is renamed to ``target`` when it is complete; used by one program at a time.
-
-    Args:
-        target: The folder to make.
-        out: Folder of all data sets.
-
-    Raises:
-        FetchError: another program is at work in ``out``. FileExistsError: ``target`` exists.
-    """
-    work = out / WORK
-    work.mkdir(parents=True, exist_ok=True)
-    handle = os.open(work / "lock", os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        if not try_lock(handle):
-            raise FetchError(f"another program is fetching into {work}; wait for it, or choose another --out")
-        with atomic_folder(target, work / "unfinished" / target.name) as folder:
-            yield folder
-    finally:
-        os.close(handle)
-
-
-def require_space(folder: Path, needed_bytes: int, what: str) -> None:
-    """Raise ``FetchError`` unless the disk of ``folder`` (which need not exist yet) has room for ``what``."""
-    place = folder.absolute()
-    while not place.exists():
-        place = place.parent
-    free = shutil.disk_usage(place).free
-    if free < needed_bytes + MARGIN_BYTES:
-        raise FetchError(
-            f"{place} has {size_text(free)} free; {what} needs {size_text(needed_bytes)}, and "
-            f"{size_text(MARGIN_BYTES)} must stay free: delete something, or choose another disk with --out"
-        )
+        _say(f"{sequence.prove(folder)}\n  {sequence.command(target)}")
 
 
 def size_text(n_bytes: int) -> str:
@@ -398,59 +301,46 @@ def size_text(n_bytes: int) -> str:
     return f"{n_bytes / 1e6:.0f} MB" if n_bytes < 1e9 else f"{n_bytes / 1e9:.1f} GB"
 
 
-def duration_text(seconds: float) -> str:
-    """A duration as text."""
-    if seconds < 90:
-        return f"{max(1, round(seconds))} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+def run(
+    description: str, plans: Callable[[str], Plan], names: Sequence[str] = (), arguments: Sequence[str] | None = None
+) -> int:
+    """The command line of a script: describe the data sets that are named, ask once, fetch them.
 
+    Args:
+        description: The script's docstring.
+        plans: From a name to its plan.
+        names: Names that can be given; empty: any.
+        arguments: Of the command line; None: those of the program.
 
-def parser(description: str, *, downloads: bool = True) -> argparse.ArgumentParser:
-    """A parser with the options of all scripts. ``description``: the script's docstring; ``downloads``: whether it uses
-    the network."""
-    made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--out", type=Path, default=Path("data"), help="folder of all data sets (default: data)")
-    made.add_argument("--yes", action="store_true", help="agree to download size and licence without a question")
-    if downloads:
-        made.add_argument("--mirror", default="", metavar="URL", help="address of another host with the same paths")
-        made.add_argument("--keep-archives", action="store_true", help="keep the downloaded archives in OUT/.fetch")
-    return made
-
-
-def fetch_options(options: argparse.Namespace) -> FetchOptions:
-    """The options given on the command line; questions are asked only if standard input is a terminal."""
-    return FetchOptions(
-        out=options.out,
-        yes=options.yes,
-        mirror=getattr(options, "mirror", ""),
-        keep_archives=getattr(options, "keep_archives", False),
-        ask=input if sys.stdin is not None and sys.stdin.isatty() else None,
-    )
-
-
-def say(text: str) -> None:
-    """Print to standard output without buffering."""
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
-
-
-def run(name: str, script: Callable[[], object]) -> int:
-    """Run the body of a script. Exit status: 0 done, 1 an error (its message is printed), 130 interrupted."""
-    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    Returns:
+        Exit status: 0 done, 1 an error (its message is printed), 130 interrupted.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", nargs="+", choices=names or None, help="which data sets")
+    parser.add_argument("--out", type=Path, default=Path("data"), help="folder of all data sets (default: data)")
+    parser.add_argument("--yes", action="store_true", help="agree to download size and licence without a question")
+    parser.add_argument("--keep-archives", action="store_true", help="keep the downloaded archives in OUT/.fetch")
+    options = parser.parse_args(arguments)
     try:
-        script()
+        wanted = [plans(name) for name in dict.fromkeys(options.name)]
+        missing = [plan for plan in wanted if not (options.out / plan.folder).exists()]
+        for plan in missing:
+            _say(_described(plan, options.out))
+        if missing and not options.yes:
+            _agree()
+        for plan in wanted:
+            fetch_data_set(plan, options.out)
+        if not options.keep_archives:
+            shutil.rmtree(options.out / WORK, ignore_errors=True)
     except Exception as e:
-        text = str(e) if is_foreseen(e) else unforeseen(e, name, sys.argv[1:])
-        sys.stderr.write(f"{name}: {text}\n")
+        text = str(e) if is_foreseen(e) else unforeseen(e, "data_scripts", sys.argv[1:])
+        sys.stderr.write(f"{text}\n")
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write(f"{name}: interrupted; run the same command again\n")
+        sys.stderr.write("interrupted; run the same command again\n")
         return 130
     return 0
 
 
-@contextmanager
-def counting(unit: str) -> Iterator[Callable[[int, int], object]]:
-    """Show the progress of a loop that reports how many steps are done and how many there are."""
-    with ProgressDisplay("written", unit=unit) as display:
-        yield lambda done, count: display.show(done, total=count)
+def _say(text: str) -> None:
+    print(text, flush=True)  # noqa: T201

@@ -29,15 +29,18 @@ from ...data.recorded.files import camera as read_camera
 from ...data.recorded.files import number
 from ...data.recorded.images import read_rgb
 from ...data.recorded.poses import GL_TO_CV
+from ...data.room.hand_held import write_depth, write_rgb
 from ...files import write_file
 from ...foreign import read_bytes, read_object
 from ...geometry import se3
 from ...types import Camera, Mesh
+from ...work import ProgressDisplay
 from ..fetch import FetchError
 
 MESH = "scans/mesh_aligned_0.05.ply"
 _KEYS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
-_MAX_DEPTH_MM = 65535
+_FARTHEST_M = 65.535
+"""Of 16-bit millimetres."""
 
 
 @dataclass(frozen=True)
@@ -139,19 +142,13 @@ def mesh_in_transforms_world(mesh: Mesh) -> Mesh:
     return Mesh(vertices_W=torch.stack([y, x, -z], dim=1), faces=mesh.faces, rgb=mesh.rgb)
 
 
-def prepare_scene(
-    scene: Path, mesh: Mesh, folder: Path, *, progress: Callable[[int, int], object] = lambda done, count: None
-) -> int:
+def prepare_scene(scene: Path, mesh: Mesh, folder: Path) -> None:
     """Write a scene for the ``scannetpp`` reader.
 
     Args:
         scene: The licensed copy of one scene (module docstring).
         mesh: Its scan, as stored.
         folder: Folder to write.
-        progress: Called after every picture with the number done and the total.
-
-    Returns:
-        Number of pictures.
 
     Raises:
         FetchError: a part of the scene is missing. SequenceError: a file of it is damaged.
@@ -159,34 +156,19 @@ def prepare_scene(
     pictures, names = Photographs.find(scene), listed_pictures(scene)
     poses = pictures.poses()
     turned = mesh_in_transforms_world(mesh)
-    for i, name in enumerate(names):
-        if name not in poses:
-            raise FetchError(
-                f"{scene}: the transforms file has no pose for {name}; expected one for every listed picture"
-            )
-        picture = folder / "dslr/undistorted_images_2" / name
-        depth = folder / "dslr/undistorted_depths_2" / f"{Path(name).stem}.png"
-        _write_picture(picture, pictures.turn(read_rgb(pictures.folder / name)))
-        _write_depth(depth, mesh_depth(turned.vertices_W, turned.faces, pictures.camera, poses[name]))
-        progress(i + 1, len(names))
+    with ProgressDisplay("rendering", total=len(names), unit="picture") as display:
+        for name in display.over(names):
+            if name not in poses:
+                raise FetchError(
+                    f"{scene}: the transforms file has no pose for {name}; expected one for every listed picture"
+                )
+            picture = folder / "dslr/undistorted_images_2" / name
+            depth = folder / "dslr/undistorted_depths_2" / f"{Path(name).stem}.png"
+            write_rgb(picture, pictures.turn(read_rgb(pictures.folder / name)))
+            depth_m = mesh_depth(turned.vertices_W, turned.faces, pictures.camera, poses[name])
+            write_depth(depth, depth_m.where(depth_m < _FARTHEST_M, 0.0).numpy(), 1000.0)
     write_file(folder / "dslr/nerfstudio/transforms_undistorted_2.json", json.dumps(pictures.transforms(), indent=1))
     write_file(folder / "dslr/train_test_lists.json", read_bytes(scene / "dslr/train_test_lists.json", "the lists"))
-    return len(names)
-
-
-def _write_picture(path: Path, rgb: np.ndarray) -> None:
-    import cv2
-
-    quality = [cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    write_file(path, cv2.imencode(".jpg", rgb[..., ::-1], quality)[1].tobytes())
-
-
-def _write_depth(path: Path, depth_m: Float[Tensor, "H W"]) -> None:
-    import cv2
-
-    stored = np.rint(depth_m.double().numpy() * 1000)
-    stored[stored > _MAX_DEPTH_MM] = 0
-    write_file(path, cv2.imencode(".png", stored.astype(np.uint16))[1].tobytes())
 
 
 NEAR_M = 0.02

@@ -79,10 +79,7 @@ def check(sequence, box):
 
 def test_fisheye_scene(tmp_path, box):
     scene = write_copy(tmp_path / "8b5caf3398", box)
-    told = []
-    count = prepare_scene(scene, box_mesh(), tmp_path / "new", progress=lambda *n: told.append(n))
-    assert count == 3
-    assert told == [(1, 3), (2, 3), (3, 3)]
+    prepare_scene(scene, box_mesh(), tmp_path / "new")
     sequence = scannetpp(tmp_path / "new")
     assert (sequence.camera.width, sequence.camera.height) == (96, 64)
     assert (sequence.camera.cx, sequence.camera.cy) == (48, 32)
