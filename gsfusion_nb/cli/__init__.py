@@ -49,8 +49,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb sweep DATA --grid X  compare values of settings, or repeat a table
                                    of the papers
   gsfusion-nb study NAME DATA      run one of the papers' comparisons
-  gsfusion-nb bench [GROUP]        measure the speed of operations, mapping and
-                                   panels, compared with other programs
+  gsfusion-nb bench [GROUP]        measure the speed of operations and mapping
   gsfusion-nb course DIR           copy the notebooks of the course to a folder
   gsfusion-nb course               show how far you are in the notebooks
   gsfusion-nb course export        the chapters as assignments for nbgrader or Otter

@@ -1,7 +1,7 @@
 """Fit single RGB-D images with few Gaussians: disc depth compared with blended depth (Peng et al. 2024, Fig. 7)."""
 
 import dataclasses
-import json
+import statistics
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,9 +32,6 @@ METHODS = {
 class FitRow:
     """Result of one fit of one image."""
 
-    method: str
-    """Key of ``METHODS``."""
-    frame_index: int
     n_gaussians: int
     depth_l1_m: float
     """Mean |rendered - measured depth| over the pixels with both."""
@@ -82,8 +79,6 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
     error = (seen.depth_m - frame.depth_m)[both].abs()
     mse = float((seen.rgb.clamp(0, 1) - frame.rgb).square().mean())
     return FitRow(
-        method=method,
-        frame_index=frame.index,
         n_gaussians=len(model),
         depth_l1_m=float(error.mean()),
         depth_median_m=float(error.median()),
@@ -91,30 +86,6 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
         covered=float(both.sum() / known.sum()),
         psnr_db=-10 * torch.tensor(max(mse, 1e-10)).log10().item(),
     )
-
-
-def fit_images(
-    frames: Iterable[Frame], counts: Iterable[int] = COUNTS, *, steps: int = STEPS, show_progress: bool = False
-) -> list[FitRow]:
-    """Fit every image with every number of Gaussians and every method."""
-    frames = list(frames)
-    cases = [(f, n, method) for n in counts for method in METHODS for f in frames]
-    with ProgressDisplay("fitting", total=len(cases), unit="image", shown=show_progress) as progress:
-        return [fit_image(f, n, method, steps=steps) for f, n, method in progress.over(cases)]
-
-
-def summary(rows: list[FitRow]) -> dict[str, dict[int, dict[str, float]]]:
-    """Means over the images: method -> number of Gaussians -> name in ``FitRow`` -> mean."""
-    names = [f.name for f in dataclasses.fields(FitRow) if f.type is float]
-    table: dict[str, dict[int, dict[str, float]]] = {method: {} for method in METHODS}
-    for method in METHODS:
-        by_count: dict[int, list[FitRow]] = {}
-        for row in rows:
-            if row.method == method:
-                by_count.setdefault(row.n_gaussians, []).append(row)
-        for count, group in sorted(by_count.items()):
-            table[method][count] = {name: sum(getattr(r, name) for r in group) / len(group) for name in names}
-    return table
 
 
 SHOWN = {
@@ -126,44 +97,29 @@ SHOWN = {
 """Name in ``FitRow`` -> heading, factor."""
 
 
-def as_markdown(table: dict[str, dict[int, dict[str, float]]]) -> str:
-    """One row per number of Gaussians and method."""
+def table_of(frames: Iterable[Frame], counts: Iterable[int] = COUNTS, *, steps: int = STEPS) -> str:
+    """Fit every image with every number of Gaussians and every method.
+
+    Returns:
+        Means over the images as a Markdown table: one row per number of Gaussians and method.
+    """
+    frames = list(frames)
     lines = ["| Gaussians | | " + " | ".join(title for title, _ in SHOWN.values()) + " |"]
     lines.append("|---:|---|" + "---:|" * len(SHOWN))
-    for count in sorted({n for rows in table.values() for n in rows}):
-        for method, rows in table.items():
-            if count in rows:
-                cells = [f"{factor * rows[count][name]:.2f}" for name, (_, factor) in SHOWN.items()]
-                lines.append(f"| {count:,} | {METHODS[method]} | {' | '.join(cells)} |")
+    cases = [(n, method) for n in counts for method in METHODS]
+    with ProgressDisplay("fitting", total=len(cases), unit="row") as progress:
+        for n, method in progress.over(cases):
+            rows = [fit_image(frame, n, method, steps=steps) for frame in frames]
+            means = (factor * statistics.fmean(getattr(r, name) for r in rows) for name, (_, factor) in SHOWN.items())
+            lines.append(f"| {n:,} | {METHODS[method]} | {' | '.join(f'{mean:.2f}' for mean in means)} |")
     return "\n".join(lines)
 
 
 def main(data: str, folder: Path, views: int) -> int:
-    """Fit ``views`` images spread over a sequence, print a table, and write it and a picture to ``folder``."""
+    """Fit ``views`` images spread over a sequence, print a table, and write it to ``folder``."""
     sequence = open_sequence(data, data=dataclasses.replace(rtg_slam("room").data, hold_out_every=0))
     picks = [round(i * (len(sequence) - 1) / max(views - 1, 1)) for i in range(views)]
-    table = summary(fit_images((sequence[i] for i in picks), show_progress=True))
-    text = as_markdown(table)
+    text = table_of(sequence[i] for i in picks)
     print(f"{views} images of {sequence.name}, each fitted alone\n\n{text}\n\nFiles in {folder}")
     (folder / "table.md").write_text(text + "\n", encoding="utf-8")
-    (folder / "table.json").write_text(json.dumps(table, indent=1), encoding="utf-8")
-    draw(table, folder / "depth_error.png")
     return 0
-
-
-def draw(table: dict[str, dict[int, dict[str, float]]], path: Path) -> None:
-    """The picture of Fig. 7: depth error over the number of Gaussians."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 4), layout="constrained")
-    for axes, name in zip(figure.subplots(1, 3), ("depth_l1_m", "depth_median_m", "within_1cm"), strict=True):
-        title, factor = SHOWN[name]
-        for method, rows in table.items():
-            axes.plot(list(rows), [factor * r[name] for r in rows.values()], "o-", label=METHODS[method])
-        axes.set_xscale("log")
-        axes.set_yscale("linear" if name == "within_1cm" else "log")
-        axes.set_xlabel("Gaussians")
-        axes.set_ylabel(title)
-        axes.grid(True, which="both", alpha=0.3)
-    figure.axes[0].legend()
-    figure.savefig(path, dpi=120)

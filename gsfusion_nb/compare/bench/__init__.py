@@ -1,4 +1,4 @@
-"""``gsfusion-nb bench``: time and memory of the operations on this machine, compared with other programs."""
+"""``gsfusion-nb bench``: time and memory of the operations on this machine."""
 
 from .cases import BenchOptions as BenchOptions
 from .run import main as main

@@ -3,14 +3,13 @@
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, Any
 
 import torch
 import tyro
 
 from ... import backends
-from ...checks import check_name
+from ...checks import check_name, check_whole
 from ...config import DataConfig
 from ...data import OpenedSequence, open_sequence
 from .timing import Timing
@@ -21,9 +20,8 @@ DEVICES = {"reference": "cpu", "torch": "cpu", "numba": "cpu", "triton": "cuda",
 """Device of each backend."""
 SECTIONS = {
     "raster": "Gaussian rasteriser; note: PSNR to the picture of torch, smallest cosine of a gradient",
-    "tsdf": "integration with colour (depth: without), truncation 4 voxels; raycasts; note: frames/s",
+    "tsdf": "integration with colour, truncation 4 voxels; raycasts; note: frames/s",
     "map": "GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians",
-    "checkpoints": "saving a run; note: share of the 30 s between two checkpoints, by CPU time; size",
 }
 _WALK = 200
 """Frames of the room's walk; more frames are closer together on the same walk."""
@@ -31,13 +29,12 @@ _WALK = 200
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions:
-    """Measure the speed of the toolkit on this machine, compared with other installed programs, and print a table."""
+    """Measure the speed of the toolkit on this machine and print a table."""
 
     what: Annotated[str, tyro.conf.Positional] = "all"
-    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), checkpoints (time and size of
-    one, and time from SIGTERM until it is saved) or all."""
+    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper) or all."""
     data: str = "room"
-    """Folder of the sequence used by tsdf, map and checkpoints, or "room" for the built-in scene."""
+    """Folder of the sequence used by tsdf and map, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
     """Image sizes of the sequence, for example 320x240 640x480. Default: the size of the recording, 320x240 for the
     room."""
@@ -84,17 +81,11 @@ class BenchOptions:
         check_name("bench", self.what, ("all", *SECTIONS))
         for backend in self.backend:
             check_name("backend", backend, TIMED_BACKENDS)
-        cores = os.cpu_count() or 1
-        if not 1 <= self.threads <= cores:
-            raise ValueError(f"--threads must be between 1 and {cores}, the cores of this machine, got {self.threads}")
-        if self.frames < 0 or self.frames == 1:
-            raise ValueError(f"--frames must be at least 2 (or 0 for the default), got {self.frames}")
+        check_whole("--threads", self.threads, 1, os.cpu_count() or 1)
+        check_whole("--frames", self.n_frames, 2)
         for width, height in self.sizes:
             if width and min(width, height) < 32:
                 raise ValueError(f"--size must be at least 32x32, got {width}x{height}")
-        file = Path(self.json).expanduser()
-        if self.json and (not file.parent.is_dir() or file.is_dir()):
-            raise ValueError(f"--json: expected a file in a folder that exists, got {self.json}")
         if self.what != "raster":
             for size in self.sizes:
                 open_frames(self, size)

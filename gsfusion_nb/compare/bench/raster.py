@@ -1,15 +1,12 @@
 """Cases of the rasteriser: a random scene, forward, and forward with the gradient of every parameter."""
 
 import functools
-import importlib
 from collections.abc import Callable, Iterator
 
 import torch
 from torch import Tensor
 
 from ...backends import use_backend
-from ...constants import NEAR_PLANE_M, SCREEN_BLUR_PX2
-from ...geometry import se3
 from ...render import render_forward, render_vjp
 from ...types import GaussianParams
 from .cases import DEVICES, BenchCase, BenchOptions, BenchRow, our_backends
@@ -31,7 +28,7 @@ Result = tuple[Tensor, GaussianParams | None]
 
 
 def cases(options: BenchOptions) -> Iterator[BenchCase]:
-    """Our backends for every scene and direction; on a GPU one large scene more, with gsplat first."""
+    """Our backends for every scene and direction; on a GPU one large scene more."""
     counts, sizes, degrees = (COUNTS[:2], SIZES[:1], (3,)) if options.quick else (COUNTS, SIZES, SH_DEGREES)
     for degree in degrees:
         for width, height in sizes:
@@ -45,31 +42,28 @@ def _cases_of(options: BenchOptions, size: tuple[int, int, int, int], device: st
     n, width, height, degree = size
     scene = functools.lru_cache(1)(lambda: random_scene(n, width, height, sh_degree=degree))
     found = our_backends(options, "render_forward", "render_vjp")
-    methods = {b: functools.partial(draw, b) for b in found if device == "cpu" or DEVICES[b] == "cuda"}
-    if device == "cuda" and not why_no_gsplat():
-        methods = {"gsplat (CUDA)": functools.partial(by_autograd, gsplat_picture), **methods}
+    methods = [b for b in found if device == "cpu" or DEVICES[b] == "cuda"]
     for backward in (False, True):
         title = f"{n / 1000:g}k {width}x{height} SH{degree} {'fwd+bwd' if backward else 'fwd'}"
         truth = functools.lru_cache(1)(lambda backward=backward: draw(BASELINE, scene().to(device), backward))
-        for method, work in methods.items():
-            run = functools.partial(_row, options, method, work, scene, title, backward, truth)
-            yield BenchCase(section="raster", title=title, run=lambda run=run: [run()])
+        for method in methods:
+            run = functools.partial(_rows, options, method, scene, title, backward, truth)
+            yield BenchCase(section="raster", title=title, run=run)
 
 
-def _row(
+def _rows(
     options: BenchOptions,
     method: str,
-    work: Callable[[RandomScene, bool], Result],
     scene: Callable[[], RandomScene],
     title: str,
     backward: bool,
     truth: Callable[[], Result],
-) -> BenchRow:
-    device = DEVICES.get(method, "cuda")
+) -> list[BenchRow]:
+    device = DEVICES[method]
     here = scene().to(device)
-    timing = measure(lambda: work(here, backward), budget_s=options.budget_s, device=device)
-    note, values = ("", {}) if method == BASELINE else compare_to_baseline(work(here, backward), truth())
-    return BenchRow(section="raster", case=title, method=method, timing=timing, note=note, values=values)
+    timing = measure(lambda: draw(method, here, backward), budget_s=options.budget_s, device=device)
+    note, values = ("", {}) if method == BASELINE else compare_to_baseline(draw(method, here, backward), truth())
+    return [BenchRow(section="raster", case=title, method=method, timing=timing, note=note, values=values)]
 
 
 def draw(backend: str, scene: RandomScene, backward: bool) -> Result:
@@ -77,17 +71,6 @@ def draw(backend: str, scene: RandomScene, backward: bool) -> Result:
     with use_backend(backend):
         output, saved = render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
         return output.rgb, render_vjp(saved, scene.v_rgb) if backward else None
-
-
-def by_autograd(render: Callable[[GaussianParams, RandomScene], Tensor], scene: RandomScene, backward: bool) -> Result:
-    """The picture of another renderer and, with ``backward``, dL/d of every parameter by autograd."""
-    if not backward:
-        with torch.no_grad():
-            return render(scene.params, scene), None
-    leaves = {name: value.detach().requires_grad_() for name, value in vars(scene.params).items()}
-    rgb = render(GaussianParams(**leaves), scene)
-    gradients = torch.autograd.grad(rgb, list(leaves.values()), scene.v_rgb)
-    return rgb.detach(), GaussianParams(**dict(zip(leaves, gradients, strict=True)))
 
 
 def compare_to_baseline(result: Result, truth: Result) -> tuple[str, dict[str, float]]:
@@ -102,36 +85,3 @@ def compare_to_baseline(result: Result, truth: Result) -> tuple[str, dict[str, f
         values["least_gradient_cosine"] = min(float((a * b).sum() / (a.norm() * b.norm())) for a, b in found)
         note += f" {values['least_gradient_cosine']:.4f}"
     return note, values
-
-
-def why_no_gsplat() -> str:
-    """Why gsplat's CUDA rasteriser cannot be timed here; empty if it can. It is compiled with nvcc on first use."""
-    if not torch.cuda.is_available():
-        return "no GPU"
-    try:
-        built = importlib.import_module("gsplat.cuda._backend")._C is not None
-    except (ImportError, RuntimeError, OSError):
-        built = False
-    return "" if built else "not installed, or its kernels could not be built: pip install gsplat==1.5.3, and nvcc"
-
-
-def gsplat_picture(params: GaussianParams, scene: RandomScene) -> Tensor:
-    """The picture that gsplat draws. [H, W, 3] Differentiable: yes, by autograd."""
-    from gsplat import rasterization  # pyright: ignore[reportMissingImports]
-
-    picture, _, _ = rasterization(
-        means=params.xyz_W,
-        quats=params.quat,
-        scales=params.log_scale.exp(),
-        opacities=params.opacity_logit.sigmoid(),
-        colors=params.sh,
-        viewmats=se3.inverse(scene.T_WC)[None],
-        Ks=scene.camera.K.to(params.xyz_W)[None],
-        width=scene.camera.width,
-        height=scene.camera.height,
-        near_plane=NEAR_PLANE_M,
-        eps2d=SCREEN_BLUR_PX2,
-        sh_degree=params.sh_degree,
-        packed=False,
-    )
-    return picture[0]

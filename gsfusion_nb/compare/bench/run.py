@@ -21,7 +21,6 @@ CASES: dict[str, Callable[[BenchOptions], Iterator[BenchCase]]] = {
     "raster": raster_cases.cases,
     "tsdf": tsdf_cases.cases,
     "map": mapping.map_cases,
-    "checkpoints": mapping.checkpoint_cases,
 }
 _HEADINGS = ("case", "method", "wall ms", "CPU ms", "speed", "MB", "runs", "note")
 
@@ -34,7 +33,7 @@ class BenchResult:
     machine: dict[str, Any]
     rows: list[BenchRow] = field(default_factory=list)
     missing: dict[str, dict[str, str]] = field(default_factory=dict)
-    """Section -> program or backend that was not measured -> reason, and how to install it."""
+    """Section -> backend that was not measured -> reason, and how to install it."""
     n_cases: int = 0
     n_done: int = 0
 
@@ -118,17 +117,12 @@ def with_speed(rows: list[BenchRow], threads: int) -> list[BenchRow]:
 
 
 def not_measured(options: BenchOptions) -> dict[str, dict[str, str]]:
-    """Programs and backends of the chosen sections that cannot run on this machine, with the reason."""
-    found = [("raster", "gsplat (CUDA)", raster_cases.why_no_gsplat())]
-    found += [("tsdf", "OpenCV HashTSDF", tsdf_cases.why_no_opencv())]
+    """Backends of the chosen sections that cannot run on this machine, with the reason."""
     sections = {"render_forward": "raster", "fuse_frame_": "tsdf"}
-    for operation, backend, state in backends.report():
-        if operation in sections:
-            found.append((sections[operation], backend, "" if state == "ok" else state))
     missing: dict[str, dict[str, str]] = {}
-    for section, name, reason in found:
-        if reason and section in options.sections:
-            missing.setdefault(section, {})[name] = reason
+    for operation, backend, state in backends.report():
+        if state != "ok" and sections.get(operation) in options.sections:
+            missing.setdefault(sections[operation], {})[backend] = state
     return missing
 
 

@@ -21,7 +21,7 @@ LEAST_RUNS = 3
 MOST_RUNS = 30
 LONG_RUN_S = 4.0
 """A run longer than this is timed only once, seconds."""
-PACKAGES = ("torch", "numpy", "numba", "llvmlite", "triton", "gsplat", "opencv-python-headless")
+PACKAGES = ("torch", "numpy", "numba", "llvmlite", "triton", "opencv-python-headless")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,19 +118,16 @@ def threads(count: int) -> Iterator[None]:
 
 
 def describe(threads: int) -> dict[str, Any]:
-    """Processor, memory, versions, and the load from other programs."""
+    """Processor, versions, and the load from other programs."""
     versions: dict[str, str | None] = {"gsfusion_nb": __version__, "python": platform.python_version()}
     for name in PACKAGES:
         try:
             versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             versions[name] = None
-    names = getattr(os, "sysconf_names", {})
-    has_size = "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
-        "memory_gb": os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9 if has_size else None,
         "system": f"{platform.system()} {platform.machine()}",
         "gpu": torch.cuda.get_device_name(0) if torch.cuda.is_available() else None,
         "threads": threads,
@@ -142,11 +139,10 @@ def describe(threads: int) -> dict[str, Any]:
 
 def header(machine: dict[str, Any]) -> list[str]:
     """``describe`` in a few lines of text."""
-    memory = f", {machine['memory_gb']:.0f} GB" if machine["memory_gb"] else ""
     gpu = f", {machine['gpu']}" if machine["gpu"] else ""
     threads = f"{machine['threads']} thread{'s' if machine['threads'] > 1 else ''} of {machine['cores']} cores"
     lines = [
-        f"{machine['processor']}{memory}{gpu}; {threads}; {machine['date'][:16].replace('T', ' ')}",
+        f"{machine['processor']}{gpu}; {threads}; {machine['date'][:16].replace('T', ' ')}",
         ", ".join(f"{name} {v}" for name, v in machine["versions"].items() if v),
     ]
     load = machine["load_average"]
