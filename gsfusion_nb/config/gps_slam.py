@@ -64,7 +64,7 @@ class ResidualConfig:
     camera. Released: 0.003."""
     max_radius_m: float = 0.1
     """Gaussians whose largest standard deviation is above this are removed, metres. Smaller: no large blobs, but
-    also none that correct a whole wall. Usual: 0.05 to 0.5."""
+    also none that correct a whole wall. Released: 0.1. The default removes none."""
     min_opacity: float = 0.005
     """Gaussians with a smaller opacity are removed. Larger: fewer Gaussians. Usual: 0.005 to 0.05."""
 
@@ -185,7 +185,7 @@ other systems' presets mean the same data here."""
 
 _MEASURED: dict[str, Any] = {
     "views": {"every_frames": 2},
-    "residual": {"lr_xyz": 5e-4, "lr_log_scale": 0.01, "loss": "l2"},
+    "residual": {"lr_xyz": 5e-4, "lr_log_scale": 0.01, "loss": "l2", "max_radius_m": 1000.0},
     "seeding": {"options": {"colour_error": 0.08, "share": 0.15, "most": 0.01, "max_weight": 1.0, "in_holes": True}},
 }
 
