@@ -2,15 +2,25 @@
 
 import math
 import sys
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from .errors import shown
-
 SAVED_RIGIDITY_ERROR = 1e-2
 """Largest entry of R R^T - I in a pose of a checkpoint; tracking multiplies poses, so it may grow a little."""
+
+
+def shown(value: Any, at_most: int = 120) -> str:
+    """A value that somebody else wrote, as one line short enough for a sentence: all messages quote with this.
+
+    Text, and what holds more than ``at_most`` items, is cut before it is formatted.
+    """
+    if isinstance(value, str | bytes | list | tuple):
+        value = value[: at_most + 1]
+    text = repr(value)
+    return text if len(text) <= at_most else f"{text[: at_most - 3]}..."
 
 
 def check_shape(name: str, value: object, expected: tuple[int | str, ...]) -> None:

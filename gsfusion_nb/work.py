@@ -22,6 +22,9 @@ T = TypeVar("T")
 EVERY_S = 10.0
 """Time between two lines of a log."""
 
+GROWTH = {"cpu": 2.0, "cuda": 1.25}
+"""A map that is full grows by this factor. Untouched memory is free on a CPU; on a GPU it is taken from the rest."""
+
 
 class ProgressDisplay:
     """Progress of one piece of work, as a context manager; the log gets a last line when the block ends.

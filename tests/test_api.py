@@ -34,7 +34,7 @@ STABLE = {
     "score_views ssim ssim_as_released",
     "gsfusion_nb.export": "read_gaussians write_gaussian_ply write_mesh_ply write_trajectory_tum",
     "gsfusion_nb.geometry": "backproject project quaternion rays se3",
-    "gsfusion_nb.errors": "BadFrameError SequenceError",
+    "gsfusion_nb.files": "BadFrameError SequenceError",
 }
 """Module -> names that stay, or change with a line in CHANGELOG.md and an error that says what to use instead."""
 

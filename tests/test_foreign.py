@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.data.recorded.images import check_image_size, decode_rgb, image_size, png_is_cut
-from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError
-from gsfusion_nb.foreign import (
+from gsfusion_nb.files import (
+    BadFrameError,
+    SequenceError,
+    SequenceNotFoundError,
     inflate,
     open_archive,
     open_regular,
@@ -33,8 +35,7 @@ OF_MODULE = {
     **dict.fromkeys(("zlib.decompress", "bz2.decompress", "gzip.open", "gzip.decompress", "PlyData.read"), ""),
 }
 ALLOWED = {
-    "foreign.py": "the place",
-    "files.py": "what it has just written, and bytes that only go into a hash",
+    "files.py": "the place",
     "backends.py": "source files of this package",
     "course/source_lines.py": "source files of this package",
     "viz/display.py": "files of this package",
@@ -64,7 +65,7 @@ ALLOWED = {
 
 
 def opened_by_hand(path: Path) -> list[str]:
-    """Calls that read a file, or unpack bytes, without the limits of ``foreign``."""
+    """Calls that read a file, or unpack bytes, without the limits of ``files``."""
     found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.Call):
@@ -72,7 +73,7 @@ def opened_by_hand(path: Path) -> list[str]:
         f = node.func
         name = f.attr if isinstance(f, ast.Attribute) else f.id if isinstance(f, ast.Name) else ""
         dotted = f"{f.value.id}.{f.attr}" if isinstance(f, ast.Attribute) and isinstance(f.value, ast.Name) else name
-        of_class = dotted in ("self.read_text", "foreign.read_text")
+        of_class = dotted in ("self.read_text", "files.read_text")
         text = isinstance(f, ast.Attribute) and name in BY_HAND and not of_class
         modes = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
         opens = (
@@ -89,7 +90,7 @@ def test_no_file_of_others_is_opened_by_hand():
         name = path.relative_to(PACKAGE).as_posix()
         if name not in ALLOWED and (calls := opened_by_hand(path)):
             found[name] = calls
-    assert found == {}, "read through gsfusion_nb/foreign.py"
+    assert found == {}, "read through gsfusion_nb/files.py"
     assert [name for name in ALLOWED if not opened_by_hand(PACKAGE / name)] == [], "no longer needed"
 
 
@@ -156,15 +157,15 @@ def test_sentences_pass_and_memory_has_its_own():
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ('{"a": 1,\n "b": {"a": 2, "a": 3}}', r'the key "a" appears twice: line 2 column 16'),
-        ('{"a":\n  NaN}', r"NaN is not a JSON number: line 2 column 3"),
-        ('["NaN", -Infinity]', r"-Infinity is not a JSON number: line 1 column 9"),
-        ("[1e999]", r"1e999 is too large a number: line 1 column 2"),
-        (f"[{'9' * 400}]", r"a number of 400 digits: line 1 column 2"),
-        (f"[0.{'9' * 400}]", r"a number of 402 digits: line 1 column 2"),
-        ("[" * 100_000, r"brackets are nested more than 64 deep: line 1 column 65"),
-        ('{"a": [1, 2}', r"line 1 column 12"),
-        ('{"\\u0061": 1, "a": 2}', r"a key appears twice"),
+        ('{"a": 1,\n "b": {"a": 2, "a": 3}}', "the key 'a' appears twice"),
+        ('{"\\u0061": 1, "a": 2}', "the key 'a' appears twice"),
+        ('{"a":\n  NaN}', "NaN is not a finite number"),
+        ('["NaN", -Infinity]', "-Infinity is not a finite number"),
+        ("[1e999]", "1e999 is not a finite number"),
+        (f"[{'9' * 400}]", "a number of 400 digits"),
+        (f"[0.{'9' * 400}]", "a number of 402 digits"),
+        ("[" * 100_000, "recursion"),
+        ('{"a": [1, 2}', "line 1 column 12"),
     ],
 )
 def test_json_that_is_ambiguous_or_no_number(text, fault):

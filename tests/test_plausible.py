@@ -10,7 +10,7 @@ import torch
 from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.data.lens import CameraModel
 from gsfusion_nb.data.recorded.poses import checked_pose
-from gsfusion_nb.operands import check_depth_scale, check_plausible_camera, is_near
+from gsfusion_nb.geometry.operands import check_depth_scale, check_plausible_camera, is_near
 from gsfusion_nb.recordings.convert.recording import RecordedFrame, Recording, RgbdImages
 from gsfusion_nb.types import Camera
 

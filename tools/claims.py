@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gsfusion_nb.foreign import read_object
+from gsfusion_nb.files import read_object
 
 log = logging.getLogger(__name__)
 

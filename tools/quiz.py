@@ -27,7 +27,7 @@ import torch
 from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten
 from gsfusion_nb.course.exercise import Exercise, exercises
 from gsfusion_nb.course.learner_code import plain_value
-from gsfusion_nb.foreign import read_object
+from gsfusion_nb.files import read_object
 from gsfusion_nb.types import Camera
 
 _PURE = (torch.Tensor, np.ndarray, Camera, int, float, list, dict)

@@ -22,8 +22,7 @@ from typing import Any
 
 from claims import quoted, shown_by
 
-from gsfusion_nb.files import atomic_file
-from gsfusion_nb.foreign import read_object
+from gsfusion_nb.files import atomic_file, read_object
 
 log = logging.getLogger(__name__)
 

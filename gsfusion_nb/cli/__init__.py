@@ -12,7 +12,7 @@ import tyro
 from ..backends import BackendUnavailable, from_environment, use_backend
 from ..config import DataConfig, gsfusion
 from ..config.values import parse_options
-from ..errors import is_foreseen, unforeseen
+from ..files import is_foreseen, unforeseen
 from .result import print_metrics, print_result
 from .settings import named_values
 

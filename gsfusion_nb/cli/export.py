@@ -84,7 +84,7 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     """The Gaussians for a .ply file: a surface that they are drawn over as discs, too."""
     from ..config import from_dict
     from ..export import read_trajectory_tum
-    from ..foreign import parsing, read_object
+    from ..files import parsing, read_object
     from ..mapping.gps_surface import TSDF
     from ..mapping.systems import get_system
 

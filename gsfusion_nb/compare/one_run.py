@@ -11,10 +11,9 @@ from typing import Any
 
 from ..data import sequence_fingerprint
 from ..drawing.pictures import encode_png
-from ..errors import SequenceError
 from ..evaluation import ImageScores, NotComputed, frame_rates
 from ..evaluation.image import lpips_unavailable
-from ..files import write_file
+from ..files import SequenceError, write_file
 from ..runs import MappingRun
 from ..runs.outputs import environment, map_hashes, score_mesh, score_trajectory
 from ..runs.scored_views import ScoredViews, scored_views

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..backends import chosen
-from ..files import cache_folder, write_file
-from ..foreign import read_object
+from ..files import cache_folder, read_object, write_file
 from ..seeding import SeedingRule, is_built_in, registered
 from .executors import Answer, Executor, InProcess, Task
 from .map_scene import Entry

@@ -20,13 +20,11 @@ import torch
 
 from .. import __version__
 from ..backends import MINE, BackendUnavailable, chosen
-from ..checks import check_name, check_number, check_positive
+from ..checks import check_name, check_number, check_positive, shown
 from ..config import to_dict
 from ..config.values import check_kinds
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
-from ..errors import shown
-from ..files import write_file
-from ..foreign import read_object
+from ..files import read_object, write_file
 from ..mapping import get_system
 from ..seeding import Option, SeedingRule, is_built_in, registered, rule_files, rule_fingerprint
 from .schedule import with_settings

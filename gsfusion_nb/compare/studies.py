@@ -13,10 +13,9 @@ from typing import Annotated, Any
 import tyro
 
 from ..backends import use_backend
-from ..checks import check_name, check_whole
+from ..checks import check_name, check_whole, shown
 from ..course.paper_tables import PAPER_TABLES, PaperComparison
-from ..errors import SequenceError, shown
-from ..foreign import parse_json
+from ..files import SequenceError, parse_json
 from ..mapping import get_system
 from ..seeding import check_options
 from ..seeding.rule_code import is_rule_file, read_rule_file

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..errors import SequenceError, shown
-from ..foreign import read_text
+from ..checks import shown
+from ..files import SequenceError, read_text
 from ..mapping import get_system
 from ..seeding.rule_code import is_rule_file, read_rule_file
 from .entries import check_run

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..checks import shown
 from ..config import SystemConfig
-from ..errors import shown
 from ..seeding import SeedingRule, rule_name, rule_options
 from .map_scene import Entry, OnStep, budgeted, finished, map_scene, observed
 from .schedule import dotted, flat_settings, steps_per_frame, with_steps_per_frame, without_steps

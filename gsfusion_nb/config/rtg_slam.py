@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..checks import check_name, check_number, check_positive
-from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE, OPAQUE_ALPHA
 from .parts import DataConfig, SeedingConfig, SystemConfig, TsdfConfig
 from .values import check_kinds, fidelity_of, from_dict, replace
 
@@ -18,14 +17,14 @@ from .values import check_kinds, fidelity_of, from_dict, replace
 class DiscConfig:
     """When a ray hits a disc, and at which depth (Eq. 4-5)."""
 
-    opaque_alpha: float = OPAQUE_ALPHA
+    opaque_alpha: float = math.exp(-0.5)
     """delta_alpha: a ray hits a disc where the disc's alpha is at least this. Smaller: larger discs, fewer holes, less
     exact edges. Paper exp(-0.5) = 0.61, code 0.6, measured best 0.3. Usual: 0.2 to 0.8."""
-    max_offset: float | None = DISC_MAX_OFFSET
+    max_offset: float | None = 1.0
     """Largest distance along z between the hit and the disc's centre, in units of the disc's largest standard
     deviation; beyond it the depth of the centre is used. Larger: more exact depth on tilted discs, but more outliers.
     Code 1; paper: no limit (None). Usual: 1 to 5."""
-    min_cosine: float = DISC_MIN_COSINE
+    min_cosine: float = 0.5
     """Smallest cosine of the angle between ray and disc normal at which the two are intersected; a disc seen at a
     flatter angle gets the depth of its centre. Smaller: intersects at flatter angles, more exact but more sensitive to
     errors of the normal. Paper 0.5 (60 degrees). Usual: 0.1 to 0.7."""

@@ -14,7 +14,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import field, is_dataclass
 from typing import Annotated, Any, TextIO, TypeVar, cast, get_args, get_origin
 
-from ..errors import shown
+from ..checks import shown
 
 C = TypeVar("C")
 

@@ -21,9 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from ..errors import SequenceError
-from ..files import write_file
-from ..foreign import read_bytes, read_object
+from ..files import SequenceError, read_bytes, read_object, write_file
 
 log = logging.getLogger(__name__)
 

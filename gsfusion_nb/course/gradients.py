@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..constants import ALPHA_MAX
 from ..render.composite import blend_weights
+from ..render.constants import ALPHA_MAX
 from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, unpack
 from .gradient_check import central_difference
 

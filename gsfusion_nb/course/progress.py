@@ -21,9 +21,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from ..errors import SequenceError
-from ..files import try_lock, write_file
-from ..foreign import read_object
+from ..files import SequenceError, read_object, try_lock, write_file
 
 FORMAT = 1
 LOCK_PATIENCE_S = 5.0

@@ -6,9 +6,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..constants import SCREEN_BLUR_PX2, SH_C0, TILE_PX
-from ..geometry.spherical_harmonics import sh_to_rgb
+from ..geometry.spherical_harmonics import SH_C0, sh_to_rgb
 from ..render.composite import blend_weights
+from ..render.constants import SCREEN_BLUR_PX2, TILE_PX
 from ..render.project import Projection
 from ..render.tiles import TileLists
 from ..types import Camera

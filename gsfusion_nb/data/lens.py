@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..geometry import depth_to_points, project, se3
-from ..operands import check_plausible_camera
+from ..geometry.operands import check_plausible_camera
 from ..types import Camera
 from .sequence import SequenceError
 

@@ -11,8 +11,7 @@ import torch
 
 from ..checks import check_name
 from ..config import DataConfig
-from ..files import file_hashes
-from ..foreign import noting_files
+from ..files import file_hashes, noting_files
 from . import readers
 from .adjust.repair import ExtraOf, OpenedSequence, RepairedSequence, SequenceView, apply_options
 from .recorded.files import missing

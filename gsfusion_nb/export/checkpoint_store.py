@@ -23,10 +23,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..checks import check_whole
-from ..errors import shown
-from ..files import atomic_file, write_file
-from ..foreign import open_regular, read_exactly, read_text, reason_of
+from ..checks import check_whole, shown
+from ..files import atomic_file, open_regular, read_exactly, read_text, reason_of, write_file
 from ..work import available_memory
 
 SMALL_BYTES = 1 << 12

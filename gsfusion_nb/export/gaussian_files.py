@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import SequenceError
-from ..foreign import open_regular, read_bytes
-from ..operands import FARTHEST
+from ..files import SequenceError, open_regular, read_bytes
+from ..geometry.operands import FARTHEST
 from ..types import GaussianParams
 from .map_glb import read_map_glb
 from .packed_values import MAX_BYTES, params_of, sh_of_rgb

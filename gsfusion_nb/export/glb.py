@@ -13,9 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import SequenceError, shown
-from ..files import atomic_file
-from ..foreign import open_regular, parse_json, parsing, read_exactly
+from ..checks import shown
+from ..files import SequenceError, atomic_file, open_regular, parse_json, parsing, read_exactly
 from ..geometry import quaternion
 
 WHAT = "a glTF file (.glb)"

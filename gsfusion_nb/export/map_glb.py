@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..constants import SH_C0
-from ..errors import SequenceError, shown
+from ..checks import shown
+from ..files import SequenceError
 from ..gaussians.rows import moved
 from ..geometry import quaternion
+from ..geometry.spherical_harmonics import SH_C0
 from ..geometry.upright import Up, turn_to_y_up
 from ..types import GaussianParams, Mesh
 from .glb import INDICES, Glb, GlbArrays, Placed, placed_meshes, read_glb, up_in_file, write_glb

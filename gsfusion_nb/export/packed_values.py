@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from ..constants import SH_C0
+from ..geometry.spherical_harmonics import SH_C0
 from ..types import GaussianParams
 
 MAX_BYTES = 2_000_000_000

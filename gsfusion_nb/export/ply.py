@@ -21,9 +21,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..errors import SequenceError, shown
-from ..files import atomic_file
-from ..foreign import open_regular, parsing
+from ..checks import shown
+from ..files import SequenceError, atomic_file, open_regular, parsing
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import GaussianParams, Mesh
 from .packed_values import params_of, quaternion_of_three, sh_of_rgb, share

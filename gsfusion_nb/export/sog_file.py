@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SequenceError, shown
-from ..foreign import open_archive, parse_json, parsing, read_member
+from ..checks import shown
+from ..files import SequenceError, open_archive, parse_json, parsing, read_member
 from ..types import GaussianParams
 from .packed_values import params_of, quaternion_of_three
 

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..errors import SequenceError
-from ..foreign import read_bytes
+from ..files import SequenceError, read_bytes
 from ..gaussians.rows import moved
 from ..types import GaussianParams
 from .packed_values import MAX_BYTES, params_of, quaternion_of_three

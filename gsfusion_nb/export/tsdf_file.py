@@ -17,11 +17,9 @@ import torch
 from torch import Tensor
 
 from ..config import TsdfConfig, to_dict
-from ..constants import VOXELS_PER_BLOCK
-from ..errors import SequenceError
-from ..files import atomic_file
-from ..foreign import open_archive, parsing, read_member
+from ..files import SequenceError, atomic_file, open_archive, parsing, read_member
 from ..tsdf import TsdfVolume
+from ..tsdf.block_pool import VOXELS_PER_BLOCK
 
 WHAT = "the TSDF of a run, written by write_tsdf"
 D_LEVELS, RGB_LEVELS = 32767.0, 255.0

@@ -14,8 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import observed
-from ..checks import check_finite, check_number, check_shape
-from ..errors import shown
+from ..checks import check_finite, check_number, check_shape, shown
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import Seeds

@@ -9,9 +9,8 @@ from torch import Tensor
 
 from ..backends import observed
 from ..checks import check_saved, check_shape, check_whole
-from ..constants import SH_C0
 from ..geometry import quaternion
-from ..geometry.spherical_harmonics import rgb_to_sh_dc
+from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
 from ..types import GaussianParams, Seeds
 from .edit import Edit, apply_edit, check_rate
 from .rows import GrowingRows, turn_colours_, turn_moments_

@@ -12,10 +12,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..checks import check_shape
-from ..constants import GROWTH
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import turned_harmonics
 from ..types import GaussianParams
+from ..work import GROWTH
 
 
 def turn_colours_(sh: Float[Tensor, "N K 3"], R: Float[Tensor, "N 3 3"]) -> None:

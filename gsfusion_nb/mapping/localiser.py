@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..checks import SAVED_RIGIDITY_ERROR, check_number, check_pose, check_saved, check_shape, check_whole
 from ..config import TrackingConfig
-from ..errors import BadFrameError
+from ..files import BadFrameError
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import KeyframeList

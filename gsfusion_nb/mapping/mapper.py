@@ -17,11 +17,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import runs_learners_code
-from ..checks import check_whole
+from ..checks import check_whole, shown
 from ..config import SystemConfig, from_dict, to_dict
-from ..errors import shown
 from ..gaussians import GaussianModel
-from ..operands import FAR_DEPTH_M
+from ..geometry.operands import FAR_DEPTH_M
 from ..optim import KeyframeList, UpdateFunction, fit_pose
 from ..render import render
 from ..seeding import (

@@ -11,9 +11,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..checks import shown
 from ..config import SystemConfig, from_dict
 from ..config.values import NOT_FOR_RULES, nested, with_own_settings
-from ..errors import SequenceError, shown
+from ..files import SequenceError
 from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
 from ..render import Footprints, footprints

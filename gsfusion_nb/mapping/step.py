@@ -14,8 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_colours, check_finite, check_pose
-from ..errors import BadFrameError
-from ..operands import check_place, check_plausible_camera
+from ..files import BadFrameError
+from ..geometry.operands import check_place, check_plausible_camera
 from ..types import Frame
 
 

@@ -10,10 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..checks import check_finite, check_shape, check_whole
+from ..checks import check_finite, check_shape, check_whole, shown
 from ..config import OptimConfig
-from ..constants import SHOWN_ALPHA
-from ..errors import SequenceError, shown
+from ..files import SequenceError
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import (
@@ -28,6 +27,7 @@ from ..optim import (
     pose_step,
     pose_system,
 )
+from ..render.constants import SHOWN_ALPHA
 from ..seeding import rule_fingerprint, rule_name
 from ..types import Frame, RenderOutput
 from .localiser import Localiser, between

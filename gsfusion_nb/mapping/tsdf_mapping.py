@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_number, check_whole
-from ..errors import BadFrameError
+from ..files import BadFrameError
 from ..geometry import backproject
 from ..seeding import SeedContext
 from ..tracking import Correction

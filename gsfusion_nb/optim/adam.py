@@ -13,7 +13,7 @@ from ..backends import observed, op
 from ..checks import check_number, check_saved, check_whole
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
-from ..operands import INTEGERS, check_gaussians, check_operand, check_written
+from ..geometry.operands import INTEGERS, check_gaussians, check_operand, check_written
 from ..types import GaussianParams
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15

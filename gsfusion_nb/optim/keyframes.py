@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..backends import piece
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
-from ..operands import check_plausible_camera
+from ..geometry.operands import check_plausible_camera
 from ..types import Camera, Frame, rgb_of_bytes
 
 

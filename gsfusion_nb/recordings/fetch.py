@@ -18,11 +18,10 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
+from ..checks import shown
 from ..data.open import open_sequence
 from ..data.sequence import SequenceError
-from ..errors import as_sentence, is_foreseen, shown, unforeseen
-from ..files import atomic_folder, write_file
-from ..foreign import open_regular
+from ..files import as_sentence, atomic_folder, is_foreseen, open_regular, unforeseen, write_file
 
 WORK = ".fetch"
 """Folder for downloads and unfinished data sets, in the folder of all data sets."""

@@ -30,9 +30,9 @@ from torch import Tensor
 
 from ..backends import Record, op, piece
 from ..checks import check_positive
-from ..constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
-from ..operands import check_camera, check_operand
+from ..geometry.operands import check_camera, check_operand
 from ..types import Camera
+from .constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from .tiles import TileLists
 
 

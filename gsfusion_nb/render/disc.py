@@ -26,10 +26,10 @@ from torch import Tensor
 from ..backends import op, piece
 from ..checks import check_positive
 from ..config import DiscConfig
-from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from ..geometry import pixel_grid, quaternion, rays, se3
-from ..operands import INTEGERS, MASK, check_gaussians, check_operand, check_view
+from ..geometry.operands import INTEGERS, MASK, check_gaussians, check_operand, check_view
 from ..types import Camera, GaussianParams, RenderOutput
+from .constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from .rasterize import render_forward
 
 

@@ -35,11 +35,11 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from ..backends import Record, op, piece
 from ..checks import check_number
-from ..constants import ALPHA_MAX
+from ..geometry.operands import MASK, check_gaussians, check_operand, check_view, check_written
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
-from ..operands import MASK, check_gaussians, check_operand, check_view, check_written
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import absolute_uv_vjp, pixel_offsets, splat_alpha, splat_alpha_vjp
+from .constants import ALPHA_MAX
 from .on_screen import ScreenGaussians
 from .project import project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from ..backends import Record, op
 from ..checks import check_positive
+from ..geometry.operands import MASK, check_gaussians, check_operand, check_view, check_written
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
-from ..operands import MASK, check_gaussians, check_operand, check_view, check_written
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import check_image_gradients, composite, composite_vjp
 from .on_screen import ScreenGaussians
@@ -106,7 +106,7 @@ def render_forward(
         params, camera, T_WC: as given to ``render``.
         with_indices: Find the first and the dominant Gaussian of each pixel. An optimiser does not need them; with
             False both are ``None``, which is a little faster.
-        opaque_alpha: If given, also find the Gaussians for ``disc_depth``; the paper's is ``constants.OPAQUE_ALPHA``.
+        opaque_alpha: If given, also find the Gaussians for ``disc_depth``; the paper's is ``OPAQUE_ALPHA``.
         pixels: Draw only where this is true; elsewhere all images are 0, indices -1 and gradients zero. Tiles without
             such a pixel take no time. (Peng et al. 2024, RTG-SLAM, section 3.2.) [H, W]
 

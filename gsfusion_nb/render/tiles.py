@@ -8,9 +8,9 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from ..backends import op
-from ..constants import TILE_PX
-from ..operands import INTEGERS, MASK, check_camera, check_operand
+from ..geometry.operands import INTEGERS, MASK, check_camera, check_operand
 from ..types import Camera
+from .constants import TILE_PX
 from .project import Projection
 
 

@@ -10,10 +10,9 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from ..checks import check_number, check_saved, check_whole
+from ..checks import check_number, check_saved, check_whole, shown
 from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
 from ..data.stream import read_ahead
-from ..errors import shown
 from ..export import CheckpointStore, Saved
 from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..types import Frame, Mesh

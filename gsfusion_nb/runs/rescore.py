@@ -9,12 +9,12 @@ from typing import Any
 import torch
 
 from .. import __version__
+from ..checks import shown
 from ..config import DataConfig, from_dict
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
-from ..errors import SequenceError, SequenceNotFoundError, shown
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
-from ..foreign import parsing, read_object
+from ..files import SequenceError, SequenceNotFoundError, parsing, read_object
 from ..mapping.systems import get_system
 from ..types import GaussianParams
 from .outputs import write_json

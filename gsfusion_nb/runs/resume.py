@@ -6,10 +6,8 @@ from typing import Any
 import torch
 
 from ..data import open_sequence
-from ..errors import SequenceError
 from ..export import CheckpointStore
-from ..files import UNREADABLE, file_hashes
-from ..foreign import read_text, reason_of
+from ..files import UNREADABLE, SequenceError, file_hashes, read_text, reason_of
 from ..mapping import get_system
 from ..seeding import SeedingRule
 from ..seeding.rule_code import MOST_BYTES, is_rule_file, read_rule_file, rule_of_source

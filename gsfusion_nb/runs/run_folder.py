@@ -20,8 +20,7 @@ import torch
 from torch import Tensor
 
 from .. import __version__
-from ..files import DiskFullError, remove_partial, try_lock, write_file
-from ..foreign import read_json, read_object
+from ..files import DiskFullError, read_json, read_object, remove_partial, try_lock, write_file
 from ..mapping import Mapper, StepReport
 
 STATUS = "status.json"

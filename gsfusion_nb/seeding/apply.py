@@ -10,9 +10,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import observed
-from ..checks import check_finite, check_shape
-from ..errors import shown
-from ..operands import MAX_DISTANCE_M
+from ..checks import check_finite, check_shape, shown
+from ..geometry.operands import MAX_DISTANCE_M
 from ..types import Seeds, rgb_of_bytes
 from .context import SeedContext
 from .rule import Option, SeedingRule, get_rule, is_map_rule, option_values, rule_name

@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..checks import shown
 from ..config import SeedingConfig, TsdfConfig
-from ..errors import shown
 from ..gaussians import Edit, GaussianModel
 from ..geometry import depth_to_normals, pixel_grid, rays, se3
 from ..render import footprints, render

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..constants import SH_C0
 from ..geometry import quaternion
+from ..geometry.spherical_harmonics import SH_C0
 from ..types import Camera, Frame, GaussianParams
 
 _DISTANCES = 1 << 25

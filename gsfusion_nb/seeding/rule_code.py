@@ -24,9 +24,8 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from ..errors import shown
-from ..files import UNREADABLE, cache_folder, file_hashes
-from ..foreign import read_text
+from ..checks import shown
+from ..files import UNREADABLE, cache_folder, file_hashes, read_text
 from .rule import SeedingRule, get_rule, keep_registered, option_paths, registered, rule_name
 
 _OWN = __name__.partition(".")[0]

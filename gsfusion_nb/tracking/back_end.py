@@ -14,9 +14,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..checks import check_pose, check_saved, check_saved_pose, check_whole
+from ..checks import check_pose, check_saved, check_saved_pose, check_whole, shown
 from ..config import BackEndConfig
-from ..errors import shown
 from ..geometry import quaternion, se3
 from ..types import Camera, Frame
 from .bundle_adjustment import Adjusted, adjust

@@ -32,7 +32,7 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_array
 from ..geometry import se3
-from ..operands import check_camera, check_operand
+from ..geometry.operands import check_camera, check_operand
 from ..types import Camera
 from .features import DEPTH_SIGMA_PER_M
 from .landmarks import Observations

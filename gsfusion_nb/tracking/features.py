@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ..checks import check_mask, check_saved
 from ..geometry import backproject
-from ..operands import check_operand
+from ..geometry.operands import check_operand
 from ..types import Frame
 
 SCALE_FACTOR = 1.2

@@ -23,7 +23,7 @@ from ..backends import op, piece
 from ..checks import check_number, check_positive
 from ..config import TrackingConfig
 from ..geometry import depth_to_points, project, se3, sum_rows
-from ..operands import check_operand, check_view
+from ..geometry.operands import check_operand, check_view
 from ..types import Camera
 from .brightness import Pictures
 from .surface import DepthLevel, Surface, about_the_surface, depth_pyramid

@@ -12,7 +12,7 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_array, check_positive
 from ..geometry import se3
-from ..operands import check_operand, check_view
+from ..geometry.operands import check_operand, check_view
 from ..types import Camera
 from .features import DESCRIPTOR_BYTES, Features, check_features, depth_sigma
 

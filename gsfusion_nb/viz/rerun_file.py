@@ -142,7 +142,7 @@ def _scores(report: StepReport) -> dict[str, float]:
 
 def _splats(rr: Any, params: GaussianParams) -> Any:
     """Gaussians with natural values: standard deviations, opacities, colours of the constant coefficient."""
-    from ..constants import SH_C0
+    from ..geometry.spherical_harmonics import SH_C0
 
     params = params[torch.stack([c.reshape(len(params), -1).isfinite().all(1) for c in vars(params).values()]).all(0)]
     rgb = (params.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1)

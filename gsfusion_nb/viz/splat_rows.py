@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from ..constants import SH_C0
 from ..drawing.page import fill
+from ..geometry.spherical_harmonics import SH_C0
 from ..types import GaussianParams
 
 Kind = Literal["frame", "level", "state", "number"]

@@ -19,9 +19,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_name, check_pose
-from ..constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
 from ..drawing.pictures import Picture, to_uint8
 from ..geometry.upright import world_up
+from ..render.constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
 from ..types import Camera, GaussianParams, RenderOutput
 from .display import Bundle, front_end, source, static_views, synced, with_picture
 from .map_pictures import PALETTES, Paint, depth_picture, map_picture, palette

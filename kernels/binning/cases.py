@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from gsfusion_nb.constants import ALPHA_MIN
 from gsfusion_nb.geometry import pixel_grid
 from gsfusion_nb.render import Projection, project_gaussians, tile_intersections
+from gsfusion_nb.render.constants import ALPHA_MIN
 from gsfusion_nb.types import Camera
 
 from ..runtime.cases import HEIGHT, WIDTH, Case, make_frame, make_params

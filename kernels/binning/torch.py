@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from gsfusion_nb.constants import ALPHA_MIN, TILE_PX
+from gsfusion_nb.render.constants import ALPHA_MIN, TILE_PX
 from gsfusion_nb.render.project import Projection
 from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera

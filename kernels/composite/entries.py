@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from gsfusion_nb.constants import ALPHA_MIN, TRANSMITTANCE_MIN
+from gsfusion_nb.render.constants import ALPHA_MIN, TRANSMITTANCE_MIN
 from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera
 

@@ -10,7 +10,7 @@ and one that is not to be drawn, or lies beyond the image, starts as finished. O
 import numpy as np
 from numba import njit
 
-from gsfusion_nb.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from gsfusion_nb.render.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
 from ..project.layout import CONIC_A, CONIC_B, CONIC_C, EXTENT_V, LN_OPACITY, U, V
 from ..runtime.numba.simd import exp, iota, load, maximum, minimum, negative_abs, select, splat, store

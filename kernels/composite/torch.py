@@ -13,8 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
-from gsfusion_nb.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from gsfusion_nb.render.composite import CompositeGradient, CompositeOutput
+from gsfusion_nb.render.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera
 

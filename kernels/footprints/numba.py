@@ -7,8 +7,8 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.render.constants import ALPHA_MIN, NEAR_PLANE_M
 from gsfusion_nb.render.on_screen import Footprints
 from gsfusion_nb.types import Camera, GaussianParams
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import int32, njit, prange, uint32, uint64
 
-from gsfusion_nb.constants import BLOCK_VOXELS
+from gsfusion_nb.tsdf.block_pool import BLOCK_VOXELS
 
 from ..runtime.numba.simd import load, maximum, select, splat, store
 from ..runtime.numba.simd_int import byte_triples, float_bits, splat_int, store_pairs

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from numba import int32, njit, prange
 
-from gsfusion_nb.constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.tsdf.block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.integrate import INT16_ONE, LEAST_COLOUR_WEIGHT, LITTLE_COLOUR, NEAREST_COLOUR_M
 from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from gsfusion_nb.constants import VOXELS_PER_BLOCK
+from gsfusion_nb.tsdf.block_pool import VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.marching_cubes import triangle_table
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Mesh

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numba import int64, njit, prange, uint64
 
-from gsfusion_nb.constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
+from gsfusion_nb.tsdf.block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.marching_cubes import EDGES, triangle_table
 from gsfusion_nb.tsdf.marching_cubes import extract_mesh as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume

@@ -6,7 +6,7 @@ A slab of 8 x 8 voxels as one word, bit 8 y + z: its neighbours, its cubes and t
 import numpy as np
 from numba import int64, njit, prange, uint64
 
-from gsfusion_nb.constants import VOXELS_PER_BLOCK
+from gsfusion_nb.tsdf.block_pool import VOXELS_PER_BLOCK
 
 from ..runtime.numba import shared_cache as shared_cache  # before the functions are made
 from ..runtime.numba.scalars import lowest, popcount

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from gsfusion_nb.constants import ALPHA_MIN
+from gsfusion_nb.render.constants import ALPHA_MIN
 
 from ..binning.layout import FIRST_X, FIRST_Y, LAST_X, LAST_Y
 from ..composite.layout import SUM_GX, SUM_GY, TILE

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsfusion_nb.constants import FRUSTUM_CLAMP
+from gsfusion_nb.render.constants import FRUSTUM_CLAMP
 from gsfusion_nb.types import Camera
 
 COLUMNS = U, V, CONIC_A, CONIC_B, CONIC_C, LN_OPACITY, RED, GREEN, BLUE, DEPTH, EXTENT_U, EXTENT_V = range(12)

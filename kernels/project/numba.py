@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from gsfusion_nb.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from gsfusion_nb.render.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, SCREEN_BLUR_PX2
 
 from ..composite.layout import TILE
 from ..harmonics.numba import basis_into

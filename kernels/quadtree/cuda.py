@@ -6,8 +6,7 @@ from typing import Annotated, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from gsfusion_nb.constants import QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import Cells
+from gsfusion_nb.seeding.quadtree import QUADTREE_NORMALISER, Cells
 
 from ..runtime.arguments import parts
 from ..runtime.cuda.launch import device_of, launch

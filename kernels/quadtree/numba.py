@@ -10,8 +10,7 @@ import torch
 from numba import int64, njit, prange
 from torch import Tensor
 
-from gsfusion_nb.constants import QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import Cells
+from gsfusion_nb.seeding.quadtree import QUADTREE_NORMALISER, Cells
 
 from ..runtime.numba.launch import launching
 from .torch import (

@@ -11,8 +11,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from gsfusion_nb.constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import Cells
+from gsfusion_nb.seeding.quadtree import LUMA_WEIGHTS, QUADTREE_NORMALISER, Cells
 
 LUMA_DENOMINATOR = 10_000
 LUMA_NUMERATORS = tuple(round(w * LUMA_DENOMINATOR) for w in LUMA_WEIGHTS)

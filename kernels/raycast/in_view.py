@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from gsfusion_nb.constants import VOXELS_PER_BLOCK
+from gsfusion_nb.tsdf.block_pool import VOXELS_PER_BLOCK
 
 from ..runtime.numba.simd import load, select, splat, store
 

@@ -8,8 +8,8 @@ import torch
 from numba import int32, int64, njit, parallel_chunksize, prange
 from torch import Tensor
 
-from gsfusion_nb.constants import VOXELS_PER_BLOCK
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.tsdf.block_pool import VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, REFINEMENTS, STEP, RaycastOutput
 from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume

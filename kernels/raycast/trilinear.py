@@ -13,7 +13,7 @@ import numpy as np
 from numba import int32, njit, types
 from numba.core.extending import overload
 
-from gsfusion_nb.constants import VOXELS_PER_BLOCK
+from gsfusion_nb.tsdf.block_pool import VOXELS_PER_BLOCK
 
 from ..runtime.numba.simd import absolute, any_lane, either, floor, maximum, select, splat
 from ..runtime.numba.simd_int import below, but_not, gather, gather_int, select_int, splat_int, truncate

@@ -20,7 +20,7 @@ from book.record import (
 from book.recorded import needed_cells
 from book.recorders import record_panel
 
-from gsfusion_nb.foreign import read_object
+from gsfusion_nb.files import read_object
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import MixMicroscope, PixelMicroscope, amdahl_panel
 

@@ -15,7 +15,7 @@ from small_map import small_map
 from gsfusion_nb.config import GSFusionConfig, from_dict
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.export import read_gaussians, write_gaussian_ply, write_map_glb
-from gsfusion_nb.foreign import read_json
+from gsfusion_nb.files import read_json
 from gsfusion_nb.render import render
 from gsfusion_nb.types import Camera, GaussianParams
 

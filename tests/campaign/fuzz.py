@@ -126,7 +126,7 @@ def _kind_of(error: BaseException, folder: Path) -> str:
     return CLEAN if ours and sentence and not foreign else "tracebacks"
 
 
-_MODULES = ("builtins", "gsfusion_nb.errors", "gsfusion_nb.recordings.fetch", "gsfusion_nb.backends")
+_MODULES = ("builtins", "gsfusion_nb.files", "gsfusion_nb.recordings.fetch", "gsfusion_nb.backends")
 
 
 def _replace(path: Path, rng: random.Random) -> None:

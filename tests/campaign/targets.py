@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
-from gsfusion_nb.errors import is_foreseen
+from gsfusion_nb.files import is_foreseen
 
 
 class SilentAcceptance(Exception):

@@ -11,9 +11,9 @@ from gsfusion_nb.compare.bench.cases import SECTIONS, BenchCase, BenchRow
 from gsfusion_nb.compare.bench.mapping import STAGES
 from gsfusion_nb.compare.bench.scene import random_scene
 from gsfusion_nb.compare.bench.timing import Lap, Timing, summary
-from gsfusion_nb.constants import ALPHA_MIN
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.render import project_gaussians, render
+from gsfusion_nb.render.constants import ALPHA_MIN
 from gsfusion_nb.work import PeakMemory
 
 

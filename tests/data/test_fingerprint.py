@@ -11,8 +11,7 @@ from gsfusion_nb import files as hashes
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import apply_options, data_files, open_sequence, sequence_fingerprint
 from gsfusion_nb.data.room import room
-from gsfusion_nb.files import file_hashes
-from gsfusion_nb.foreign import noting_files
+from gsfusion_nb.files import file_hashes, noting_files
 
 READERS = Path(__file__).parent / "readers"
 

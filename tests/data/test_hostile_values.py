@@ -13,9 +13,8 @@ import torch
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.data.recorded.images import is_to_be_turned
 from gsfusion_nb.data.stream.growing_folder import GrowingFolder
-from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.export.gaussian_files import read_gaussians
-from gsfusion_nb.files import plain_cell
+from gsfusion_nb.files import BadFrameError, SequenceError, SequenceNotFoundError, plain_cell
 from gsfusion_nb.recordings.convert.formats.colmap import read_model
 
 

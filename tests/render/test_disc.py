@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from gsfusion_nb.config import DiscConfig
-from gsfusion_nb.constants import OPAQUE_ALPHA
 from gsfusion_nb.geometry import pixel_grid, quaternion, rays, se3
 from gsfusion_nb.render import (
     blended_depth_m,
@@ -19,6 +18,7 @@ from gsfusion_nb.render import (
     surface_depth_m,
     view_surface,
 )
+from gsfusion_nb.render.constants import OPAQUE_ALPHA
 from gsfusion_nb.types import Camera, GaussianParams
 
 CAMERA = Camera(width=33, height=9, fx=30.0, fy=28.0, cx=16.2, cy=4.4)

@@ -7,7 +7,7 @@ import torch
 from three_gaussians import three_gaussians
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.constants import SH_C0
+from gsfusion_nb.geometry.spherical_harmonics import SH_C0
 from gsfusion_nb.render import Base, render_over_base, render_over_base_vjp
 from gsfusion_nb.render.composite import pixel_offsets, splat_alpha, splat_alpha_vjp
 from gsfusion_nb.render.over_base import blend_with_base, blend_with_base_vjp

@@ -17,8 +17,7 @@ from pathlib import Path
 from types import ModuleType
 from urllib.parse import quote
 
-from gsfusion_nb.files import atomic_file
-from gsfusion_nb.foreign import read_object
+from gsfusion_nb.files import atomic_file, read_object
 
 from .chapters import Chapter
 from .pages import Places, in_the_book, raw

@@ -24,7 +24,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from gsfusion_nb.foreign import read_object
+from gsfusion_nb.files import read_object
 
 from .recorded import Recorded, needed_cells, needs_kernel, placeholder
 from .recorders import record

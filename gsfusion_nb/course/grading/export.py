@@ -10,8 +10,7 @@ import re
 from pathlib import Path
 from typing import Any, Literal
 
-from ...files import write_file
-from ...foreign import read_object
+from ...files import read_object, write_file
 from ..copies import without_solutions
 from ..exercise import exercises
 from .marks import Points

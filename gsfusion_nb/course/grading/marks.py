@@ -12,9 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ...drawing.page import fill
-from ...errors import SequenceError
-from ...files import plain_cell, write_file
-from ...foreign import read_bytes
+from ...files import SequenceError, plain_cell, read_bytes, write_file
 from ...work import Died, WorkerPool, usable_cores
 from ..course import TITLES
 from ..exercise import DIFFICULTIES, Exercise, exercises

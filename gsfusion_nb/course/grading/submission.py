@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...errors import SequenceError
-from ...foreign import read_bytes, read_object
+from ...files import SequenceError, read_bytes, read_object
 from .sandbox_program import Cell
 
 _OF_CHAPTER = re.compile(r"\d\d[_.]")

@@ -8,11 +8,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ...constants import BLOCK_VOXELS
 from ...geometry import project, se3
 from ...render import composite
 from ...seeding import apply_rule
 from ...tsdf import tsdf_update
+from ...tsdf.block_pool import BLOCK_VOXELS
 from .gaussian import Marks, Moment, box, common, numbers, pixel_index, table
 from .identity import origin_of
 from .records import FusionRecord, Record, SeedingRecord, StepRecord

@@ -27,8 +27,8 @@ images.
 from pathlib import Path
 from typing import Any
 
-from ...errors import shown
-from ...foreign import read_object
+from ...checks import shown
+from ...files import read_object
 from ..recorded.files import camera, given_name, images_in, number, numbers, pair_by_stem, require
 from ..recorded.poses import no_poses, poses_of_images
 from ..recorded.recorded_sequence import Layout, RecordedSequence

@@ -9,7 +9,7 @@ cam_params.json                                      beside traj.txt or in the f
 import re
 from pathlib import Path
 
-from ...foreign import read_object
+from ...files import read_object
 from ...types import Camera
 from ..recorded.files import camera, given_name, images_in, numbers, require
 from ..recorded.poses import read_pose_lines

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...foreign import read_object
+from ...files import read_object
 from ...types import Camera
 from ..recorded.files import camera, require, table
 from ..recorded.poses import GL_TO_CV

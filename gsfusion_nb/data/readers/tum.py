@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...errors import shown
+from ...checks import shown
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
 from ..recorded.files import given_name, natural_order, own_names, require

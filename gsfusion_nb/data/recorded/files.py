@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...errors import shown
+from ...checks import shown
 from ...types import Camera
 from ..sequence import SequenceError, SequenceNotFoundError
 

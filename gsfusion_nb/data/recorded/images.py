@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...foreign import IMAGE_BYTES, open_regular, parsing, read_bytes
+from ...files import IMAGE_BYTES, open_regular, parsing, read_bytes
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
 
 log = logging.getLogger(__name__)

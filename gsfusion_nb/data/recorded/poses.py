@@ -10,9 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...foreign import read_text
+from ...files import read_text
 from ...geometry import quaternion
-from ...operands import check_place
+from ...geometry.operands import check_place
 from ..sequence import BadFrameError, SequenceError
 
 GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...operands import LATEST_S, check_depth_scale, check_plausible_camera
+from ...geometry.operands import LATEST_S, check_depth_scale, check_plausible_camera
 from ...types import Camera, Frame
 from ..adjust.resize import resize_colour
 from ..sequence import BadFrameError, Sequence, SequenceError, position

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...errors import shown
+from ...checks import shown
 from ..sequence import SequenceError
 from .poses import image_key, read_words
 

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from ...files import atomic_file, cache_folder
-from ...foreign import read_bytes
+from ...files import atomic_file, cache_folder, read_bytes
 from .interior import SHELL_SOLIDS, interior
 from .lighting import DistanceGrid, irradiance
 from .raycast import CurvedPatch, FlatPatches, compile_patches

@@ -11,8 +11,8 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
-from ...errors import shown
-from ...foreign import TEXT_BYTES, open_regular
+from ...checks import shown
+from ...files import TEXT_BYTES, open_regular
 from ...types import Frame
 from ..readers.folder import CAMERA_KEYS, read_intrinsics
 from ..recorded.files import camera, given_name, natural_order

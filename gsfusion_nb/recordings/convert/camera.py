@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from ...checks import shown
 from ...data.adjust.resize import resize_colour
 from ...data.lens import TIE, CameraModel, pixel_map, same_rays, warp_depth, z_of_range
 from ...data.recorded.files import number, numbers
 from ...data.sequence import SequenceError
-from ...errors import shown
-from ...foreign import read_object
+from ...files import read_object
 from ...types import Camera
 from .recording import RecordedFrame, RgbdImages
 from .trajectory import read_numbers

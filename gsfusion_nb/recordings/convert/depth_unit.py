@@ -19,8 +19,7 @@ from torch import Tensor
 from ...data.adjust.depth_agreement import depth_consistency, depth_pair, relative_poses
 from ...data.recorded.files import own_names
 from ...data.sequence import BadFrameError
-from ...errors import SequenceError
-from ...foreign import read_text
+from ...files import SequenceError, read_text
 from ...geometry import se3
 from ...types import Camera
 from .recording import read_depth_file

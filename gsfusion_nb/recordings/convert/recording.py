@@ -15,8 +15,8 @@ from ...checks import check_number
 from ...data.lens import CameraModel
 from ...data.recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
 from ...data.sequence import BadFrameError, SequenceError
-from ...foreign import is_file, parsing
-from ...operands import check_depth_scale, check_plausible_camera
+from ...files import is_file, parsing
+from ...geometry.operands import check_depth_scale, check_plausible_camera
 
 
 @dataclass(frozen=True, kw_only=True)

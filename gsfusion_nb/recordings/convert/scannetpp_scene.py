@@ -30,8 +30,7 @@ from ...data.recorded.files import number
 from ...data.recorded.images import read_rgb
 from ...data.recorded.poses import GL_TO_CV
 from ...data.room.hand_held import write_depth, write_rgb
-from ...files import write_file
-from ...foreign import read_bytes, read_object
+from ...files import read_bytes, read_object, write_file
 from ...geometry import se3
 from ...types import Camera, Mesh
 from ...work import ProgressDisplay

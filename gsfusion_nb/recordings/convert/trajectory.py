@@ -8,13 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...checks import check_pose
+from ...checks import check_pose, shown
 from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices
 from ...data.recorded.times import PER_SECOND
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
-from ...errors import shown
-from ...foreign import read_text
+from ...files import read_text
 from ...geometry import se3
 from .recording import ConvertOptions, RecordedFrame, Recording
 

@@ -18,11 +18,11 @@ from markupsafe import Markup
 from torch import Tensor
 
 from ...checks import check_name
-from ...constants import ALPHA_MAX
 from ...drawing.page import html_table
 from ...drawing.pictures import AnyImage, Picture, side_by_side, to_uint8
 from ...optim import dssim_vjp, l1_vjp
 from ...render import composite, composite_vjp, tile_intersections
+from ...render.constants import ALPHA_MAX
 from ...types import Camera, GaussianParams
 from ..display import Bundle, ClickImage, LostNotice, with_picture
 from .pixel_stack import (

@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...constants import TILE_PX
 from ...drawing.curves import BETWEEN, PALETTE
 from ...render import TileLists, composite, composite_vjp
 from ...render.composite import pixel_offsets, splat_alpha
+from ...render.constants import TILE_PX
 from ...types import Camera, GaussianParams
 from ..panels.pixel_stack import check_pixel, project_splats
 from .recording import Recording, record

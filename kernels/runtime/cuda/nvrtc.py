@@ -14,9 +14,9 @@ from pathlib import Path
 
 import torch
 
-from gsfusion_nb import constants
 from gsfusion_nb.backends import BackendUnavailable, KernelsUnusable
 from gsfusion_nb.files import cache_folder, write_file
+from gsfusion_nb.render import constants
 
 log = logging.getLogger(__name__)
 

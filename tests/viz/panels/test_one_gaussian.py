@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.constants import SCREEN_BLUR_PX2
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.render import project_gaussians, tile_intersections
+from gsfusion_nb.render.constants import SCREEN_BLUR_PX2
 from gsfusion_nb.types import Camera
 from gsfusion_nb.viz.panels.one_gaussian import (
     ORANGE,

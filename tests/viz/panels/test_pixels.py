@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.constants import ALPHA_MAX
 from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc
 from gsfusion_nb.render import BaseView, render, render_over_base
+from gsfusion_nb.render.constants import ALPHA_MAX
 from gsfusion_nb.render.over_base import Base
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import MixMicroscope, PixelMicroscope

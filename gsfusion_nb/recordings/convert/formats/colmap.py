@@ -19,12 +19,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....checks import shown
 from ....data.lens import CameraModel
 from ....data.recorded.files import natural_order
 from ....data.recorded.times import PER_SECOND, time_unit
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from ....errors import shown
-from ....foreign import is_file, open_regular, parsing, read_exactly, read_text
+from ....files import is_file, open_regular, parsing, read_exactly, read_text
 from ....geometry import quaternion, se3
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair, read_depth_file

@@ -15,13 +15,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....checks import shown
 from ....data.lens import CameraModel
 from ....data.recorded.files import images_in
 from ....data.recorded.images import read_image_bytes
 from ....data.recorded.poses import matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from ....errors import shown
-from ....foreign import read_text
+from ....files import read_text
 from ....types import Camera
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, metres, with_colour
 

@@ -17,12 +17,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....checks import shown
 from ....data.lens import CameraModel
 from ....data.recorded.files import natural_order, number, table
 from ....data.recorded.poses import GL_TO_CV
 from ....data.sequence import SequenceError
-from ....errors import shown
-from ....foreign import is_file, read_object
+from ....files import is_file, read_object
 from ....geometry import se3
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair

@@ -18,7 +18,7 @@ from torch import Tensor
 from ....data.lens import CameraModel
 from ....data.recorded.files import images_in, natural_order, table
 from ....data.sequence import SequenceError, SequenceNotFoundError
-from ....foreign import read_bytes, read_object, read_text
+from ....files import read_bytes, read_object, read_text
 from ....geometry import se3
 from ..camera import intrinsics_of_json, model_of_object
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair

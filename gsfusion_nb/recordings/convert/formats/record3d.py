@@ -24,7 +24,7 @@ from ....data.recorded.files import number, table
 from ....data.recorded.images import MAX_PIXELS, read_image_bytes
 from ....data.recorded.poses import GL_TO_CV, matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from ....foreign import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
+from ....files import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, metres, with_colour
 

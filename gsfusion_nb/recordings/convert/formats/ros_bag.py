@@ -21,12 +21,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....checks import shown
 from ....data.lens import CameraModel
 from ....data.recorded.poses import interpolate_rows, matrices
 from ....data.recorded.times import associate
 from ....data.sequence import SequenceError, SequenceNotFoundError
-from ....errors import shown
-from ....foreign import open_regular, parsing
+from ....files import open_regular, parsing
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
 from ..trajectory import camera_in_body

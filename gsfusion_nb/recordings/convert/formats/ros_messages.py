@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....checks import shown
 from ....data.recorded.images import decode_image, decode_rgb
 from ....data.recorded.poses import interpolate_rows, matrices
 from ....data.sequence import BadFrameError, SequenceError
-from ....errors import shown
 from ..recording import is_picture_file, metres
 
 _CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1}

@@ -23,7 +23,7 @@ from ....data.recorded.files import images_in
 from ....data.recorded.images import read_image_bytes, read_rgb
 from ....data.recorded.poses import image_number
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from ....foreign import inflate, open_regular, read_exactly
+from ....files import inflate, open_regular, read_exactly
 from ....geometry import se3
 from ..camera import model_of_matrix
 from ..recording import (

@@ -15,6 +15,7 @@ from pathlib import Path
 from jaxtyping import Float
 from torch import Tensor
 
+from ....checks import shown
 from ....data.lens import CameraModel
 from ....data.readers.tum import LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
 from ....data.recorded.files import images_in, natural_order
@@ -22,7 +23,6 @@ from ....data.recorded.images import read_rgb
 from ....data.recorded.poses import image_number, read_words
 from ....data.recorded.times import Stamps, associate, judge_stamps, read_image_list
 from ....data.sequence import BadFrameError, SequenceError
-from ....errors import shown
 from ..camera import read_intrinsics
 from ..depth_unit import DepthUnit, find_depth_unit, fits_poses, some_depths
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair

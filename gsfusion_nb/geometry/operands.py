@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from .checks import check_finite, check_shape
-from .types import Camera, Frame, GaussianParams
+from ..checks import check_finite, check_shape
+from ..types import Camera, Frame, GaussianParams
 
 FLOATS = (torch.float32, torch.float64)
 INTEGERS = (torch.int64, torch.int32)
