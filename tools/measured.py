@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -93,13 +93,21 @@ def filled(page: str, numbers: Callable[[str], Mapping[str, Any]]) -> str:
             if key not in found["texts"]:
                 raise MeasuredError(f"{name}.json: no text {key!r}; it has {sorted(found['texts'])}")
             return f"<!-- text: {name} {key} -->{found['texts'][key]}<!-- end -->"
-        lines = ["```", *found["commands"], "```"]
+        lines = ["```", *of_one_seed(found["commands"]), "```"]
         if kind == "table":
             rows = [found["columns"], ["---"] + ["---:"] * (len(found["columns"]) - 1), *found["rows"]]
             lines = [re.sub(" +", " ", f"| {' | '.join(row)} |") for row in rows]
         return "\n".join([f"<!-- {kind}: {name} -->", *lines, "<!-- end -->"])
 
     return MARKER.sub(place, page)
+
+
+def of_one_seed(commands: Iterable[str]) -> list[str]:
+    """Commands without those that differ from an earlier one by their seed alone."""
+    first: dict[str, str] = {}
+    for line in commands:
+        first.setdefault(re.sub(r" --seed \d+", "", line), line)
+    return list(first.values())
 
 
 def pages(root: Path = ROOT) -> list[Path]:
