@@ -61,7 +61,7 @@ def test_pages_are_filled_from_the_file(project):
     assert [p.name for p in measured.fill(project, write=True)] == ["README.md", "a.md"]
     page = (project / "docs/a.md").read_text()
     assert "| one | 20.2 | 1.00 |\n| both | 21.0 ± 1.4 | 2.00 ± 0.00 |\n<!-- end -->" in page
-    assert "gsfusion-nb map wall --seed 1\n```\n" in page
+    assert "```\ngsfusion-nb map wall\n```\n" in page  # of one seed
     assert "Best: <!-- text: walls best -->22.00 dB<!-- end -->." in (project / "README.md").read_text()
     assert measured.fill(project, write=False) == []
     (project / "docs/a.md").write_text(page.replace("20.2", "20.3"))  # by hand
