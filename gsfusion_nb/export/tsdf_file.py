@@ -31,7 +31,7 @@ _LEAST_W, _MOST_W = 2.0**-14, 65504.0
 
 
 def write_tsdf(path: str | Path, volume: TsdfVolume) -> None:
-    """Write the observed voxels of a volume, atomically; about 4 bytes for each (``docs/outputs.md``)."""
+    """Write the observed voxels of a volume, atomically; about 4 bytes for each."""
     observed = volume.W > 0
     columns = {
         "voxel_size_m": np.float64(volume.config.voxel_size_m),

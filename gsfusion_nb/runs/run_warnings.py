@@ -24,7 +24,7 @@ _FAR_OFF = 0.2
 """Largest usual median difference between rendered and measured depth, as a part of the measured one."""
 _BASE_BYTES = 50_000_000
 _BYTES_PER_PIXEL = 16
-"""Bytes that a frame adds per pixel to maps and checkpoints, averaged over the runs of docs/trust.md."""
+"""Bytes that a frame adds per pixel to maps and checkpoints, averaged over runs of 200 frames."""
 
 
 @torch.no_grad()
