@@ -4,9 +4,8 @@ An operation is declared once, by putting ``@op("folder")`` on its reference. Fa
 name in ``kernels/<folder>/<backend>.py``; they are found by their file name and imported on first use. Nothing else in
 the package imports ``gsfusion_nb.kernels``.
 
-The backend ``torch`` is vectorised PyTorch: it runs on any device and in float64, and exists only where it is several
-times as fast as the reference. ``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32;
-operations on Gaussians in float64 run on torch instead.
+``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32. Operations on Gaussians in
+float64, and on tensors on other devices, run on the reference instead.
 
 ``mine`` is the reference with the functions of a learner in it (``FUNCTIONS``). They replace whole operations, or the
 parts of an operation that are declared with ``@piece``. It exists only in a Python session that has imported
@@ -41,7 +40,7 @@ from .types import GaussianParams
 
 log = logging.getLogger(__name__)
 
-BACKENDS = ("reference", "torch", "numba", "triton", "cuda")
+BACKENDS = ("reference", "numba", "triton", "cuda")
 
 MINE = "mine"
 """The backend that runs the functions of a learner."""
@@ -53,8 +52,8 @@ _FOLDERS: dict[str, str] = {}
 _EMULATED_BY = {"triton": "TRITON_INTERPRET", "cuda": "GSFUSION_CUDA_EMULATOR"}
 """Backend for GPUs -> environment variable that lets it run on the processor, for tests."""
 
-_PREFERRED = {"cpu": ("numba", "torch"), "cuda": ("cuda", "triton", "torch")}
-"""Kind of device -> backends that take its tensors, the fastest first. On any other device: torch."""
+_PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
+"""Kind of device -> backends that take its tensors, the fastest first. On any other device the reference runs."""
 
 
 def from_environment() -> str:
@@ -118,9 +117,8 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                     check(*args, **kwargs)
                 except ValueError as e:
                     raise ValueError(f"{name}: {e}") from None
-            if chosen() not in ("reference", "torch", MINE) and _is_double(args, kwargs):
-                with use_backend("torch"):
-                    return load(name, "torch")(*args, **kwargs)
+            if chosen() not in ("reference", MINE) and _is_double(args, kwargs):
+                return plain(*args, **kwargs)
             while True:
                 implementation = _select(name, args, kwargs)
                 try:
@@ -207,14 +205,14 @@ def _defines(package: ModuleType, backend: str, name: str) -> bool:
 
 @functools.cache
 def load(name: str, backend: str) -> Callable:
-    """The function that ``backend`` offers for operation ``name``; of "torch" the reference where that is fast enough.
+    """The function that ``backend`` offers for operation ``name``.
 
     Raises:
         BackendUnavailable: with the reason, if that backend has none or cannot be imported.
     """
     check_name("operation", name, _OPS)
     check_name("backend", backend, BACKENDS)
-    if backend == "reference" or (backend == "torch" and "torch" not in offered(name)):
+    if backend == "reference":
         return _OPS[name]
     if backend not in offered(name):
         raise BackendUnavailable(f"{name}: backend {backend!r} has no implementation of it")
@@ -233,11 +231,11 @@ def load(name: str, backend: str) -> Callable:
 
 @contextlib.contextmanager
 def use_backend(backend: str) -> Iterator[None]:
-    """Run operations on ``backend`` inside the block: "auto", "reference", "torch", "numba", "triton", "cuda", "mine".
+    """Run operations on ``backend`` inside the block: "auto", "reference", "numba", "triton", "cuda", "mine".
 
-    "torch" uses the reference for an operation that has no faster torch version. With "numba", "triton" or "cuda", an
-    operation that only other compiled backends offer raises ``BackendUnavailable``; one that none of them offers runs
-    on torch. "mine" runs the functions that a learner wrote, and the reference for all other operations.
+    With "numba", "triton" or "cuda", an operation that only other compiled backends offer raises
+    ``BackendUnavailable``; one that none of them offers runs on the reference. "mine" runs
+    the functions that a learner wrote, and the reference for all other operations.
 
     Raises:
         BackendUnavailable: "mine" where the course is not imported, for instance on the command line.
@@ -277,7 +275,7 @@ def report() -> list[tuple[str, str, str]]:
 @functools.cache
 def automatic(name: str, device: str) -> str:
     """The backend that "auto" takes for operation ``name`` and tensors on a kind of device ("cpu", "cuda", ...)."""
-    for backend in _PREFERRED.get(device, ("torch",)):
+    for backend in _PREFERRED.get(device, ()):
         if backend in offered(name) and _obstacle(name, backend) is None:
             return backend
     return "reference"
@@ -345,13 +343,12 @@ def _is_double(args: tuple, kwargs: dict) -> bool:
 def _named(name: str, backend: str) -> Callable:
     """The implementation for a backend that was asked for by its name."""
     check_name("backend", backend, ("auto", *BACKENDS))
-    has_kernels = any(b != "torch" for b in offered(name))
-    return load(name, backend if has_kernels or backend == "reference" else "torch")
+    return load(name, backend if offered(name) else "reference")
 
 
 def _why_slow(name: str, device: str) -> str:
     """A sentence for the user of an operation whose faster versions cannot be used, with what to do about it."""
-    tried = [b for b in _PREFERRED.get(device, ("torch",)) if b in offered(name)]
+    tried = [b for b in _PREFERRED.get(device, ()) if b in offered(name)]
     reason = "; ".join(obstacle for b in tried if (obstacle := _obstacle(name, b)))
     if reason:
         advice = "" if _set_aside.intersection(tried) else ": `gsfusion-nb doctor` says what to install"

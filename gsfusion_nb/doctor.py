@@ -312,7 +312,7 @@ def _frame(device: str, *, whole_numbers: bool) -> Frame:
 
 def _is_compiled(operation: str, device: str) -> bool:
     """Whether ``auto`` takes compiled kernels for it. Operations are declared where their references are imported."""
-    return backends.automatic(operation, device) not in ("reference", "torch")
+    return backends.automatic(operation, device) != "reference"
 
 
 def _progress(name: str, done: int, total: int, compiled: list[str], start: float) -> WarmUpProgress:

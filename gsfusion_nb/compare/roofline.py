@@ -237,7 +237,7 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
     return figure
 
 
-_COLOURS = {"reference": "#3d85c6", "torch": "#c98a1b", "numba": "#d1495b", "triton": "#8e5bb5"}
+_COLOURS = {"reference": "#3d85c6", "numba": "#d1495b", "triton": "#8e5bb5"}
 
 
 def _kernels(axes, points: list[KernelPoint], backend: str) -> None:

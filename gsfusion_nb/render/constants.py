@@ -37,8 +37,8 @@ DISC_MAX_OFFSET = 1.0
 lies off the disc (released code of Peng et al. 2024; not in the paper)."""
 
 TILE_PX = 8
-"""Edge of a screen tile, pixels. The picture does not depend on it. For the torch backend 8 is fastest: 16 evaluates
-twice as many (pixel, Gaussian) pairs, 4 makes 2.5 times as many list entries."""
+"""Edge of a screen tile of the reference, pixels. The picture does not depend on it: 16 evaluates twice as many (pixel,
+Gaussian) pairs, 4 makes 2.5 times as many list entries."""
 
 SHOWN_ALPHA = 0.5
 """The map shows a pixel if its accumulated opacity is at least this."""

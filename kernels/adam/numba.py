@@ -10,9 +10,11 @@ import numpy as np
 from numba import njit, prange
 from torch import Tensor
 
+from gsfusion_nb.backends import load
+from gsfusion_nb.optim.adam import adam_update as reference
+
 from ..runtime.numba.launch import launching
-from .torch import adam_update as vectorised
-from .torch import corrections, is_simple, step_sizes, update_columns
+from .host import corrections, is_simple, step_sizes
 
 f32 = np.float32
 
@@ -58,7 +60,7 @@ def adam_update(
     """See ``gsfusion_nb.optim.adam_update``."""
     tensors = (param, gradient, exp_avg, exp_avg_sq)
     if not is_simple(*tensors):
-        vectorised(*tensors, steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
+        reference.reference(*tensors, steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
         return
     if param.numel() == 0:
         return
@@ -74,8 +76,8 @@ def adam_update(
 
 
 def adam_update_map(*operands: Any, **options: Any) -> None:
-    """See ``gsfusion_nb.optim.adam_update_map``."""
-    update_columns(adam_update, *operands, **options)
+    """See ``gsfusion_nb.optim.adam_update_map``: it is that function, whose columns are updated on this backend."""
+    load("adam_update_map", "reference")(*operands, **options)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

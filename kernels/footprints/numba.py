@@ -1,4 +1,4 @@
-"""Visibility and size in the image of every Gaussian, in one pass over the rows; float64 goes to backend "torch"."""
+"""Visibility and size in the image of every Gaussian, in one pass over the rows; float64 goes to the reference."""
 
 import math
 

@@ -1,7 +1,5 @@
 """Projection and colour of every Gaussian, and their gradient: ``project.cu``."""
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
@@ -13,29 +11,6 @@ from ..runtime.cuda.launch import launch
 from .layout import CONIC_A, CONIC_B, CONIC_C, SPLAT, projection_lens
 
 _BLOCK = 128
-_FIELDS = {"xyz": "xyz_W", "log_scale": "log_scale", "quat": "quat", "logit": "opacity_logit", "sh": "sh"}
-"""Names in the kernels, and those of ``GaussianParams``."""
-
-
-class Params(NamedTuple):
-    """The parameters of a map and the pose T_WC, float32."""
-
-    xyz: Tensor
-    log_scale: Tensor
-    quat: Tensor
-    logit: Tensor
-    sh: Tensor
-    pose: Tensor
-
-
-class Gradients(NamedTuple):
-    """dL/d of the parameters, to be written."""
-
-    xyz: Tensor
-    log_scale: Tensor
-    quat: Tensor
-    logit: Tensor
-    sh: Tensor
 
 
 def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[Tensor, Tensor]:
@@ -43,10 +18,9 @@ def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[
     N, device = len(params), T_WC.device
     splats = torch.empty(N, SPLAT, dtype=torch.float32, device=device)
     depth = torch.empty(N, dtype=torch.float32, device=device)
-    launch(
-        "render_forward", f"project:project_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK,
-        Params(**_arrays(params), pose=T_WC), projection_lens(camera), splats, depth, N, camera.width, camera.height,
-    )  # fmt: skip
+    given, size = (_arrays(params) | {"pose": T_WC}, projection_lens(camera)._asdict()), (camera.width, camera.height)
+    kernel = f"project:project_{_coefficients(params)}"
+    launch("render_forward", kernel, parts(N, _BLOCK), _BLOCK, *given, splats, depth, N, *size)
     return splats, depth
 
 
@@ -62,11 +36,10 @@ def project_rows_vjp(
     """Gradients of the parameters from the sums of ``composite.cu`` [N, SPLAT]; zero where ``trained`` [N] is 0."""
     N, arrays = len(params), _arrays(params)
     out = {name: torch.empty_like(array) for name, array in arrays.items()}
-    launch(
-        "render_vjp", f"project:project_vjp_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK,
-        Params(**arrays, pose=T_WC), projection_lens(camera), splats, depth, sums, trained, Gradients(**out), N,
-    )  # fmt: skip
-    return GaussianParams(**{field: out[name] for name, field in _FIELDS.items()})
+    given, blocks = (arrays | {"pose": T_WC}, projection_lens(camera)._asdict()), parts(N, _BLOCK)
+    kernel = f"project:project_vjp_{_coefficients(params)}"
+    launch("render_vjp", kernel, blocks, _BLOCK, *given, splats, depth, sums, trained, out, N)
+    return GaussianParams(**out)
 
 
 def centre_vjp(splats: Tensor, depth: Tensor, sums: Tensor, rows: Tensor | None, v_uv: Tensor) -> None:
@@ -78,7 +51,7 @@ def centre_vjp(splats: Tensor, depth: Tensor, sums: Tensor, rows: Tensor | None,
 
 
 def _arrays(params: GaussianParams) -> dict[str, Tensor]:
-    return {name: packed(getattr(params, field)) for name, field in _FIELDS.items()}
+    return {name: packed(column) for name, column in vars(params).items()}
 
 
 def _coefficients(params: GaussianParams) -> int:

@@ -1,6 +1,6 @@
 """``render_forward`` and ``render_vjp`` from the fused kernels: what ``gsfusion_nb.backends`` offers for CPU tensors.
 
-Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to backend "torch".
+Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to the reference.
 """
 
 # Arrays are passed on as a list, which pyright cannot follow:
@@ -16,7 +16,6 @@ from torch import Tensor
 from gsfusion_nb.backends import Record
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.render.on_screen import ScreenGaussians
-from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.layout import check_pairs
@@ -25,11 +24,11 @@ from ..composite.layout import PAIR_SUMS, TILE, Image, IndexImages, PairLists, W
 from ..composite.numba import composite_forward
 from ..composite.vjp import composite_backward
 from ..project.geometry import centre_vjp, row_sums
-from ..project.layout import CONIC_A, DEPTH, LN_OPACITY, RED, SPLAT, Params, U, pack_camera
+from ..project.layout import SPLAT, Params, pack_camera
 from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
 from ..project.vjp import project_rows_vjp
 from ..runtime.numba.launch import launching, scratch
-from .torch import blank
+from .host import blank, screen_of
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
 _NO_INDEX = np.empty((0, 0), np.int64)
@@ -55,23 +54,8 @@ class NumbaSaved(Record):
     @property
     def screen(self) -> ScreenGaussians:
         """What was blended."""
-        splats, camera = torch.from_numpy(self.splats), self.camera
-        tiles = TileLists(
-            gaussian=torch.from_numpy(self.lists.ids),
-            offset=torch.from_numpy(self.lists.offset),
-            tile_px=TILE,
-            tiles_x=-(-camera.width // TILE),
-            tiles_y=-(-camera.height // TILE),
-            pixels=torch.from_numpy(self.pixels) if self.pixels.size else None,
-        )
-        return ScreenGaussians(
-            uv=splats[:, U : U + 2],
-            conic=splats[:, CONIC_A : CONIC_A + 3],
-            opacity=splats[:, LN_OPACITY].exp(),
-            rgb=splats[:, RED : RED + 3],
-            depth_m=splats[:, DEPTH],
-            tiles=tiles,
-        )
+        splats, ids, offset = map(torch.from_numpy, (self.splats, self.lists.ids, self.lists.offset))
+        return screen_of(splats, ids, offset, self.camera, torch.from_numpy(self.pixels) if self.pixels.size else None)
 
 
 def render_forward(

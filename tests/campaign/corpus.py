@@ -264,7 +264,7 @@ def _run_folder(root: Path, takes) -> list[Seed]:
     from gsfusion_nb.runs import run_mapping
 
     config = gsfusion("replica", tsdf__voxel_size_m=0.2, sh_degree=1, optim__global_iterations=1, data__stop=3)
-    with use_backend("torch"):
+    with use_backend("numba"):
         run_mapping(str(root / "folder"), config, folder=root / "run", evaluate=True)
         of_tests("plugins/box_room.py").Box().folder(root / "scan")
         interrupted = [_interrupted(root, *kind) for kind in INTERRUPTED]

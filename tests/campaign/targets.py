@@ -160,7 +160,7 @@ def resume(path: Path) -> None:
     from gsfusion_nb.backends import use_backend
     from gsfusion_nb.runs.resume import load_run
 
-    with use_backend("torch"):
+    with use_backend("numba"):
         run = load_run(path)
         for name, table in run.mapper.maps().items():
             for column in table.values():
@@ -190,7 +190,7 @@ def rescore(path: Path) -> None:
     from gsfusion_nb.backends import use_backend
     from gsfusion_nb.runs import rescore as score_again
 
-    with use_backend("torch"):
+    with use_backend("numba"):
         score_again(path)
 
 

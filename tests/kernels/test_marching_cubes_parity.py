@@ -1,7 +1,5 @@
 """The CPU marching cubes against the reference: the same triangles, in the same order."""
 
-import dataclasses
-
 import pytest
 import torch
 
@@ -57,25 +55,3 @@ def test_empty_volume_single_block_and_no_surface():
     assert len(assert_same_mesh(volume).faces) == 0
     volume.D[0, 73] = -0.5  # voxel (1, 1, 1): a closed octahedron
     assert assert_same_mesh(volume).faces.shape == (8, 3)
-
-
-def test_zero_is_outside():
-    volume = TsdfVolume(dataclasses.replace(CONFIG, voxel_size_m=0.5))
-    volume.add_blocks(torch.tensor([[0, 0, 0]]))
-    volume.W[:] = 1.0
-    volume.D[0, ::2] = 0.0
-    volume.D[0, 1::2] = -0.25
-    assert_same_mesh(volume)
-
-
-def test_any_number_of_threads_gives_the_same(make_frames):
-    volume = TsdfVolume(CONFIG)
-    integrate(volume, make_frames(96, 71, n=1)[0])
-    results = []
-    for threads in (1, 2):
-        torch.set_num_threads(threads)
-        results.append(assert_same_mesh(volume))
-    torch.set_num_threads(1)
-    assert torch.equal(results[0].faces, results[1].faces)
-    assert torch.equal(results[0].vertices_W, results[1].vertices_W)
-    assert torch.equal(results[0].rgb, results[1].rgb)

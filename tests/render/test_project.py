@@ -276,8 +276,7 @@ def test_the_gradient_of_the_matrix_has_no_part_that_bends_it(scene, generator):
     assert not render_autograd(params, scene.camera, scene.pose).rgb.requires_grad
 
 
-@pytest.mark.parametrize("backend", ["numba", "torch"])
-def test_fast_backends_give_the_pose_the_same_gradient(scene, generator, backend):
+def test_numba_gives_the_pose_the_same_gradient(scene, generator):
     """In float32, which is what "numba" computes in; relative to the largest of the six numbers."""
     params, v = scene.random_map(generator, 30, degree=1, dtype=torch.float32), images_vjp(generator, scene.camera)
     v = [image.float() for image in v]
@@ -287,8 +286,9 @@ def test_fast_backends_give_the_pose_the_same_gradient(scene, generator, backend
         out = render_autograd(params, scene.camera, scene.pose.float() @ se3.exp(xi))
         return torch.autograd.grad(weighted((out.rgb, out.depth_m, out.alpha), v), xi)[0]
 
-    expected = gradient()
-    with use_backend(backend):
+    with use_backend("reference"):
+        expected = gradient()
+    with use_backend("numba"):
         found = gradient()
     assert float((found - expected).abs().max() / expected.abs().max()) < 1e-4
 

@@ -14,12 +14,12 @@ from ...config import DataConfig
 from ...data import OpenedSequence, open_sequence
 from .timing import Timing
 
-TIMED_BACKENDS = ("reference", "torch", "numba", "cuda")
+TIMED_BACKENDS = ("reference", "numba", "cuda")
 """Those with a rasteriser and TSDF integration."""
-DEVICES = {"reference": "cpu", "torch": "cpu", "numba": "cpu", "triton": "cuda", "cuda": "cuda"}
+DEVICES = {"reference": "cpu", "numba": "cpu", "triton": "cuda", "cuda": "cuda"}
 """Device of each backend."""
 SECTIONS = {
-    "raster": "Gaussian rasteriser; note: PSNR to the picture of torch, smallest cosine of a gradient",
+    "raster": "Gaussian rasteriser; note: PSNR to the picture of the reference, smallest cosine of a gradient",
     "tsdf": "integration with colour, truncation 4 voxels; raycasts; note: frames/s",
     "map": "GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians",
 }
@@ -41,7 +41,7 @@ class BenchOptions:
     frames: int = 0
     """Number of frames of the sequence to use. 0: 60, or 8 with --quick."""
     backend: tuple[str, ...] = ()
-    """Backends of gsfusion-nb to time: reference, torch, numba, cuda. Default: all that run on this machine except
+    """Backends of gsfusion-nb to time: reference, numba, cuda. Default: all that run on this machine except
     reference, which is slow because it is written for reading."""
     threads: int = 1
     """Number of threads for every method."""
@@ -117,7 +117,7 @@ def our_backends(options: BenchOptions, *operations: str) -> list[str]:
     The reference is written for reading: it is timed only if the options name it.
     """
     working = {(name, backend) for name, backend, state in backends.report() if state == "ok"}
-    usable = [b for b in backends.BACKENDS if b == "torch" or all((name, b) in working for name in operations)]
+    usable = [b for b in backends.BACKENDS if all((name, b) in working for name in operations)]
     asked = [b for b in usable if b in options.backend or (not options.backend and b != "reference")]
     return [b for b in asked if DEVICES[b] == "cpu" or torch.cuda.is_available()]
 

@@ -18,9 +18,9 @@ STAGES = {
 
 
 def map_cases(options: BenchOptions) -> Iterator[BenchCase]:
-    """The torch backend, then the fastest backend of each operation, on the CPU and on a GPU, for every image size."""
+    """For every image size the reference, if it is asked for, then the fastest backend of each operation."""
     backends = our_backends(options, "render_forward", "render_vjp")
-    methods = [(b, b, "cpu") for b in ("reference", "torch") if b in backends]
+    methods = [(b, b, "cpu") for b in backends if b == "reference"]
     methods += [(f"auto ({b})", "auto", DEVICES[b]) for b in ("numba", "cuda") if b in backends]
     for size in options.sizes:
         for method, backend, device in methods:
