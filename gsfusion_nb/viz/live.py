@@ -15,7 +15,7 @@ import numpy as np
 
 from ..data import SequenceError
 from ..drawing.curves import small_curves
-from ..drawing.pictures import CARD, Picture, encode_drawing, encode_jpeg, on_card
+from ..drawing.pictures import Picture, encode_jpeg
 from ..mapping import StepReport
 from ..runs import MappingRun
 from ..types import Frame
@@ -81,9 +81,9 @@ class LiveLoop:
         import cv2
 
         with self.lock:
-            picture, curves = self._picture(), on_card(self._graphs())
-        size = (picture.shape[1], round(curves.shape[0] * picture.shape[1] / curves.shape[1]))
-        return np.concatenate([picture, np.asarray(cv2.resize(curves, size, interpolation=cv2.INTER_AREA), np.uint8)])
+            picture = self._picture()
+            size = (self._width, round(picture.shape[0] * self._width / picture.shape[1]))
+            return np.concatenate([np.asarray(cv2.resize(picture, size), np.uint8), self._graphs(self._width)])
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self._draw()
@@ -115,7 +115,7 @@ class LiveLoop:
             if self.player.error is None:
                 self._keep()
                 self.scrubber.show_newest()
-                self.graphs.value = encode_drawing(self._graphs())
+                self.graphs.show(self._graphs(self._width))
             self._write_status()
         ended = time.monotonic()
         self._next_draw_s = max(began + MIN_INTERVAL_S, ended + 2 * (ended - began))  # a third of the time at most
@@ -132,9 +132,8 @@ class LiveLoop:
             words += f'<br><span style="color:#b3261e">{said}</span>'
         self.status.value = words
 
-    def _graphs(self) -> Picture:
-        each = self._width // max(len(self._series), 1)
-        return small_curves(self._series, n_x=self._n_steps, width=each)
+    def _graphs(self, width: int) -> Picture:
+        return small_curves(self._series, n_x=self._n_steps, width=width)
 
     def _build(self) -> None:
         import ipywidgets as w
@@ -143,9 +142,9 @@ class LiveLoop:
         self.scrubber = Scrubber(self._show_kept, what="step", css_class="gsnb-live-loop-step-back")
         self.status = w.HTML()
         self.status.add_class("gsnb-live-loop-status")
-        self.image = ClickImage(1, 1, width=self._width, alt="the picture of this step", touch="")
+        self.image = ClickImage(width=self._width, alt="the picture of this step")
         titles = ", ".join(self._series)
-        self.graphs = ClickImage(1, 1, width=self._width, format="png", alt=f"curves: {titles}", touch="")
+        self.graphs = ClickImage(width=self._width, format="png", alt=f"curves: {titles}")
         self.image.add_class("gsnb-live-loop-image")
         controls = w.HBox([*self.buttons.values(), self.scrubber.widget], layout=w.Layout(flex_flow="row wrap"))
         self.widget = w.VBox([controls, self.status, self.image, self.graphs, LostNotice()])
@@ -243,13 +242,10 @@ class LiveMapper:
     def picture(self) -> Picture:
         """The panels and curves in one picture, as a stored notebook shows them."""
         if self.panels is None:
-            return on_card(self._curves(self._width, scale=1))
+            return self._curves(self._width)
         small = next(iter(self.panels.pictures.values())).shape[1]
         mosaic = self.panels.mosaic(max(1, round(self._panel_width / small)))
-        curves = on_card(self._curves(mosaic.shape[1], scale=1))
-        strip = np.full((curves.shape[0], mosaic.shape[1], 3), CARD, np.uint8)
-        strip[:, : curves.shape[1]] = curves
-        return np.concatenate([mosaic, strip])
+        return np.concatenate([mosaic, self._curves(mosaic.shape[1])])
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         with self.lock:
@@ -282,7 +278,7 @@ class LiveMapper:
             return
         self._undrawn = None
         self.scrubber.show_newest()
-        self.curves.value = encode_drawing(self._curves(self._width))
+        self.curves.show(self._curves(self._width))
         if self.viewer is not None:
             self.viewer.update(self.run.mapper)
         ended = time.monotonic()
@@ -318,9 +314,9 @@ class LiveMapper:
             return frame
         return dataclasses.replace(frame, T_WC=mapped.poses[-1].to(frame.T_WC))
 
-    def _curves(self, width: int, scale: int = 2) -> Picture:
+    def _curves(self, width: int) -> Picture:
         series = {title: [value(s) for s in self.run.steps] for title, value in self.run.mapper.curves.items()}
-        return small_curves(series, n_x=len(self.run.sequence.mapping), width=width // len(series), scale=scale)
+        return small_curves(series, n_x=len(self.run.sequence.mapping), width=width)
 
     def _build(self, panel_width: int) -> None:
         import ipywidgets as w
@@ -334,9 +330,7 @@ class LiveMapper:
         self.status = w.HTML()
         self.status.add_class("gsnb-live-status")
         self.error = w.HTML()
-        self.images = {
-            name: ClickImage(1, 1, width=panel_width, alt=caption, touch="") for name, caption in captions.items()
-        }
+        self.images = {name: ClickImage(width=panel_width, alt=caption) for name, caption in captions.items()}
         for name, image in self.images.items():
             image.add_class(f"gsnb-live-{name}")
         cells = [w.VBox([w.HTML(html.escape(captions[name])), image]) for name, image in self.images.items()]
@@ -344,8 +338,8 @@ class LiveMapper:
         wrapped = w.Layout(flex_flow="row wrap")
         rows = [w.HBox(cells[i : i + wide], layout=wrapped) for i in range(0, len(cells), wide)]
         titles = f"curves over the frames: {', '.join(self.run.mapper.curves)}"
-        self.curves = ClickImage(1, 1, width=self._width, format="png", alt=titles, touch="")
-        self.curves.value = encode_drawing(self._curves(self._width))
+        self.curves = ClickImage(width=self._width, format="png", alt=titles)
+        self.curves.show(self._curves(self._width))
         controls = w.HBox([*self.buttons.values(), self.progress], layout=wrapped)
         parts = [controls, self.status, self.error, self.scrubber.widget, *rows, self.curves, LostNotice()]
         self.widget = w.VBox(parts)

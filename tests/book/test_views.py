@@ -68,7 +68,7 @@ def test_cells_run_in_their_order_and_the_value_of_a_view_is_recorded():
     cells = [("a", "from gsfusion_nb.viz import amdahl_panel\ns = {'fuse': 1.0}"), ("b", "amdahl_panel(s)")]
     found = run(cells, {}, {"b": {"grids": [["fuse:3"]]}})
     assert [len(view.pictures) for view in found.values()] == [3]
-    with pytest.raises(TypeError, match="no recorder for int; known: Panel, GradientMicroscope"):
+    with pytest.raises(TypeError, match="no recorder for int"):
         record(3)
 
 
@@ -111,7 +111,7 @@ def test_the_page_blends_a_pixel_as_the_renderer_does(node, tmp_path):
     microscope = PixelMicroscope(cloud(), CAMERA, torch.eye(4))
     found = in_node(node, tmp_path, record(microscope).data, "stackAt(splats, u, v)")
     for (u, v), page in zip(PIXELS, found, strict=True):
-        stack = microscope.look_at(u, v)
+        stack = microscope.set(u=u, v=v).stack
         assert [one["row"] for one in page["stack"]] == stack.row.tolist()
         for name, values in (("weight", stack.weight), ("light", stack.transmittance), ("depth", stack.depth_m)):
             np.testing.assert_allclose([one[name] for one in page["stack"]], values, atol=1e-5)
@@ -125,7 +125,7 @@ def test_the_page_mixes_a_pixel_as_gps_slam_does(node, tmp_path):
     data = record(microscope).data
     call = "mixAt(splats, { values: floats(data.below), width: data.width, behind: data.behind }, u, v)"
     found = in_node(node, tmp_path, data, call)
-    mixes = [microscope.look_at(u, v) for u, v in PIXELS]
+    mixes = [microscope.set(u=u, v=v).stack for u, v in PIXELS]
     for mix, page in zip(mixes, found, strict=True):
         assert [one["row"] for one in page["stack"]] == mix.row.tolist()
         np.testing.assert_allclose([one["weight"] for one in page["stack"]], mix.weight, atol=1e-5)

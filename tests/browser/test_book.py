@@ -139,7 +139,7 @@ def test_the_gradient_microscope_goes_to_the_nearest_recorded_pixel(open_file, v
     assert "now (80, 60)" not in image.get_attribute("alt")
     box = image.bounding_box()
     image.click(position={"x": 5, "y": box["height"] - 5})  # the lower left corner of the first picture
-    assert "pixel (27, 100)" in view.locator(".gsnb-recorded-words").inner_text()
+    assert "pixel (0, 119)" in view.locator(".gsnb-recorded-words").inner_text()
     view.get_by_role("button", name="Back to the start").click()
     view.locator("select").select_option("1")
     assert "Gaussian" in view.locator(".gsnb-recorded-words").inner_text()

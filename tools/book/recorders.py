@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import torch
 
-from gsfusion_nb.drawing.pictures import Picture, encode_png, to_uint8
+from gsfusion_nb.drawing.pictures import encode_png, to_uint8
 from gsfusion_nb.viz.live import LiveLoop, LiveMapper
 from gsfusion_nb.viz.meshes import MeshViewer, decimated
-from gsfusion_nb.viz.panels.gradient_microscope import PICKS, PICTURE_PX, GradientMicroscope
+from gsfusion_nb.viz.panels.gradient_microscope import PICTURE_PX, GradientMicroscope
 from gsfusion_nb.viz.panels.panel import Panel
 from gsfusion_nb.viz.panels.pixel_microscope import PICTURE_PX as SHOWN_PX
 from gsfusion_nb.viz.panels.pixel_microscope import MixMicroscope, PixelMicroscope
@@ -217,7 +217,7 @@ def record_microscope(microscope: PixelMicroscope) -> Recorded:
     values = splat_rows(microscope.splats)
     data = {
         "splats": base64.b64encode(values.tobytes()).decode("ascii"),
-        "picture": base64.b64encode(encode_png(microscope.image, 9)).decode("ascii"),
+        "picture": base64.b64encode(encode_png(microscope.rendered, 9)).decode("ascii"),
         "width": camera.width,
         "height": camera.height,
         "shown": round(camera.width * SHOWN_PX / camera.height),
@@ -260,48 +260,20 @@ def record_gradients(microscope: GradientMicroscope, grids: Sequence[Sequence[st
     """Some pixels, with both picks; a click goes to the nearest of them."""
     camera = microscope.splats.camera
     across, down = counts_of(grids or PIXELS, ("u", "v"))
-    u, v = (microscope.of_pixel.stack.u, microscope.of_pixel.stack.v)
-    places = {"u": _spread(camera.width, across, u), "v": _spread(camera.height, down, v)}
-    picked = microscope.pick
-
-    def at(chosen: Mapping[str, int]) -> tuple[Picture, str, str]:
-        microscope.look_at(places["u"][chosen["u"]], places["v"][chosen["v"]])
-        microscope.pick = PICKS[chosen["pick"]]
-        return microscope.picture(), microscope.numbers.value, f"{microscope.clicks.alt}; {microscope.arrows.alt}"
-
-    controls = [
-        {"name": "pick", "label": "a click picks", "words": list(PICKS), "start": PICKS.index(picked), "kind": "choice"}
-    ]
-    for name, label, start in (("u", "column", u), ("v", "row", v)):
-        words = [str(place) for place in places[name]]
-        controls.append(
-            {"name": name, "label": label, "words": words, "start": words.index(str(start)), "kind": "slider"}
-        )
-    recorded = record_grids(at, controls, [["pick", "u", "v"]], drawing=True)
-    microscope.look_at(u, v).pick = picked
+    places = [_positions(microscope.controls[name], count) for name, count in (("u", across), ("v", down))]
+    recorded = record_panel(microscope, [["pick", f"u:{across}", f"v:{down}"]])
     height, width = microscope.picture().shape[:2]
     first = round(camera.width * PICTURE_PX / camera.height)
-    recorded.data |= {
-        "label": "The gradient microscope",
-        "width": width,
-        "click": {
-            "controls": ["u", "v"],
-            "places": [places["u"], places["v"]],
-            "area": [0, (height - PICTURE_PX) / height, first / width, 1],
-            "size": [camera.width, camera.height],
-        },
+    recorded.data["click"] = {
+        "controls": ["u", "v"],
+        "places": places,
+        "area": [0, (height - PICTURE_PX) / height, first / width, 1],
+        "size": [camera.width, camera.height],
     }
     recorded.words = (
         f"Recorded for {across} x {down} pixels: click the picture at the left, and the nearest of them is shown."
     )
     return recorded
-
-
-def _spread(length: int, count: int, present: int) -> list[int]:
-    """Places from end to end, evenly spread; the nearest one is moved to the present place."""
-    found = [round((k + 0.5) * length / count) for k in range(count)]
-    found[min(range(count), key=lambda k: abs(found[k] - present))] = present
-    return found
 
 
 TRACE_PIXELS = (("u:3", "v:2"),)
@@ -316,22 +288,21 @@ def record_trace(panel: TracePanel, grids: Sequence[Sequence[str]] = ()) -> Reco
     """The story that a panel shows, and those of a few pixels of the picture: each pixel's own, its heaviest Gaussian's
     and that of the voxel at its surface."""
     across, down = counts_of(grids or TRACE_PIXELS, ("u", "v"))
-    at, follows = panel.slider.value, panel.follows
-    first = panel.story
-    width, height = panel.clicks.size
-    stories = {panel.name: first}
+    at, follows = panel.moment, panel.values["follows"]
+    first, camera = panel.story, panel.story.moments[panel.moment].camera
+    stories = {panel.name_of_story: first}
     clicks: dict[str, list[list[Any]]] = {}
     for kind in FOLLOWS:
         for k in range(across * down):
-            u, v = (k % across + 0.5) * width / across, (k // across + 0.5) * height / down
+            u, v = (k % across + 0.5) * camera.width / across, (k // across + 0.5) * camera.height / down
             panel.show_story(first, next(iter(stories)), at)
-            panel.follows = kind
+            panel.set(follows=kind)
             try:
                 panel.follow(int(u), int(v))
             except ValueError:  # nothing is there
                 continue
-            stories.setdefault(panel.name, panel.story)
-            clicks.setdefault(kind, []).append([int(u), int(v), list(stories).index(panel.name)])
+            stories.setdefault(panel.name_of_story, panel.story)
+            clicks.setdefault(kind, []).append([int(u), int(v), list(stories).index(panel.name_of_story)])
     each = max(MOST_TRACED // len(stories), 8)
     pictures: dict[str, bytes] = {}
     told = []
@@ -342,12 +313,11 @@ def record_trace(panel: TracePanel, grids: Sequence[Sequence[str]] = ()) -> Reco
             panel.show_story(story, name, k)
             file = f"{number}_{k}.webp"
             pictures[file] = webp(panel.picture(), 70)
-            moments.append([
-                story.moments[k].serial, file, panel.clicks.alt, panel.numbers.value, k + 1, list(panel.clicks.size),
-            ])  # fmt: skip
+            size = [camera.width, camera.height]
+            moments.append([story.moments[k].serial, file, panel.image.alt, panel.caption.value, k + 1, size])
         start = 0 if number else min(range(len(kept)), key=lambda i: abs(kept[i] - at))
         told.append({"name": name, "moments": moments, "count": len(story.moments), "start": start})
-    panel.follows = follows
+    panel.set(follows=follows)
     panel.show_story(first, told[0]["name"], at)
     words = (
         f"Recorded: {len(told)} pixels, Gaussians and voxels, each through everything that happened to it. A click "
@@ -419,22 +389,15 @@ def record(view: Any, grids: Sequence[Sequence[str]] = ()) -> Recorded:
         TypeError: there is no recorder for it.
     """
 
-    with_grids: dict[type, Any] = {
-        Panel: record_panel,
-        GradientMicroscope: record_gradients,
-        TracePanel: record_trace,
-    }
     recorders: dict[type, Any] = {
-        Stepper: record_stepper, LiveMapper: record_live_mapper,
-        LiveLoop: record_live_loop, SplatViewer: record_splats, MeshViewer: record_mesh,
-        MixMicroscope: record_mix,
-        PixelMicroscope: record_microscope,
+        GradientMicroscope: record_gradients, TracePanel: record_trace, MixMicroscope: record_mix,
+        PixelMicroscope: record_microscope, Panel: record_panel, Stepper: record_stepper,
+        LiveMapper: record_live_mapper, LiveLoop: record_live_loop, SplatViewer: record_splats,
+        MeshViewer: record_mesh,
     }  # fmt: skip
-    for kind, act in with_grids.items():
-        if isinstance(view, kind):
-            return act(view, grids)
+    with_grids = (GradientMicroscope, TracePanel, Panel)
     for kind, act in recorders.items():
         if isinstance(view, kind):
-            return act(view)
-    known = ", ".join(kind.__name__ for kind in (*with_grids, *recorders))
+            return act(view, grids) if kind in with_grids else act(view)
+    known = ", ".join(kind.__name__ for kind in recorders)
     raise TypeError(f"there is no recorder for {type(view).__name__}; known: {known}")
