@@ -40,7 +40,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb map DATA [options]   map a sequence
   gsfusion-nb map --resume RUN     continue an interrupted run
   gsfusion-nb live SOURCE          map a camera, or a folder while it is written;
-                                   SOURCE: folder, realsense or kinect
+                                   SOURCE: folder or realsense
   gsfusion-nb eval RUN             score a finished run again
   gsfusion-nb export RUN OUT       the maps for other programs, right side up: a .glb
                                    or .ply file, or a folder with all of them

@@ -36,8 +36,8 @@ class MapOptions(SettingsOptions):
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
     from_gaussians: str = ""
-    """File of Gaussians that the map begins with (.ply, .glb, .splat, .spz, .sog), in metres, in the world frame of the
-    recording's poses; they are optimised with the new ones. GSFusion only."""
+    """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the recording's poses; they
+    are optimised with the new ones. GSFusion only."""
     rerun: str = ""
     """Also write a file for the Rerun viewer, FILE.rrd: frames, poses, the growing maps, scores (the extra "rerun").
     With --resume a new file, which holds what comes after the interruption."""

@@ -130,7 +130,7 @@ def sequence_fingerprint(sequence: OpenedSequence) -> str:
         digest.update(repr(source.repair).encode())
         source = source.source
     if isinstance(source, RecordedSequence):
-        stored = (source.depth_scale, source.depth_invalid, source.stored_size, source.fit_sizes)
+        stored = (source.depth_scale, source.depth_invalid, source.fit_sizes)
         digest.update(repr((stored, list(data_files(sequence).values()))).encode())
         if source.rectify is not None:  # what it does to the images shows in one of them
             _add_pixels(digest, sequence.mapping, at_most=1)

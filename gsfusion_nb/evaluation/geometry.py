@@ -5,9 +5,8 @@ would hide a systematic shift. Distances are stored in metres and printed in cen
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -24,6 +23,8 @@ NEIGHBOURS = 8
 typical vertex."""
 SAMPLES_PER_M2 = 10_000
 """One point per cm^2, as GSFusion's released evaluation draws on the mesh."""
+BEHIND_M = 0.05
+"""How far behind the measured depth a point still counts as seen, metres."""
 NEAR_M = 0.02
 """A view shows a vertex if its measured depth there differs by less than this, metres."""
 
@@ -42,8 +43,6 @@ class GeometryScores:
     """Share of the truth nearer than the threshold to the reconstruction (recall)."""
     threshold_m: float
     """Threshold of the two shares, metres. Papers use 3 cm or 5 cm."""
-    distance: str
-    """"surface": to the triangles; "samples": to the nearest sample."""
 
     @property
     def f_score(self) -> float:
@@ -109,25 +108,18 @@ def mesh_scores(
     generator: torch.Generator,
     threshold_m: float = 0.03,
     n_samples: int = 200_000,
-    observed: Callable[[Tensor], Tensor] | None = None,
-    distance: Literal["surface", "samples"] = "surface",
 ) -> GeometryScores | NotComputed:
     """Accuracy and completion of ``mesh`` against ``reference``, from even samples of both surfaces.
 
     Args:
         mesh: The reconstruction.
-        reference: The true surface.
+        reference: The true surface, already reduced to the part that was seen (``cull_unseen``).
         generator: Draws the samples.
         threshold_m: For precision, completion ratio and F-score, metres.
         n_samples: Points drawn on each surface.
-        observed: ``xyz_W [N, 3] -> bool [N]``: which points of the true surface count for completion, usually
-            ``lambda xyz: seen_by(xyz, frames)``; parts that no frame shows need not be reconstructed.
-        distance: "surface" measures to the triangles nearby. "samples" measures to the closest
-            sample, as is usual in published tables; on average it does not fall below half the sample spacing,
-            sqrt(area / n_samples) / 2 (9 mm for 60 m^2 and 200,000 samples).
 
     Returns:
-        The scores, or the reason why there are none (no reconstructed surface, nothing observed).
+        The scores, or the reason why there are none.
 
     Differentiable: no. Source: accuracy and completion as in iMAP (Sucar et al. 2021), sampled as NICE-SLAM does.
     """
@@ -136,14 +128,7 @@ def mesh_scores(
     if len(mesh.faces) == 0:
         return NotComputed("the reconstructed mesh has no faces")
     ours, truth = sample_surface(mesh, n_samples, generator), sample_surface(reference, n_samples, generator)
-    wanted = truth.xyz_W
-    if observed is not None:
-        wanted = wanted[observed(wanted)]
-        if len(wanted) == 0:
-            return NotComputed("no point of the reference surface was observed")
-    to_truth = _distance(ours.xyz_W, reference, truth, distance)
-    to_ours = _distance(wanted, mesh, ours, distance)
-    return _scores(to_truth, to_ours, threshold_m, distance)
+    return _scores(_distance(ours.xyz_W, reference, truth), _distance(truth.xyz_W, mesh, ours), threshold_m)
 
 
 def sample_discs(params: GaussianParams, n: int, generator: torch.Generator) -> Float[Tensor, "n 3"]:
@@ -189,7 +174,7 @@ def disc_scores(
     if not len(ours):
         return NotComputed("the map has no opaque Gaussian")
     truth = sample_surface(reference, n_samples, generator).xyz_W
-    return _scores(_to_nearest(ours, truth), _to_nearest(truth, ours), threshold_m, "samples")
+    return _scores(_to_nearest(ours, truth), _to_nearest(truth, ours), threshold_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,7 +222,7 @@ def centres_to_own_mesh(
     return OwnMeshDistance(mean_m=float(distance.mean()), mean_square_m2=float(distance.square().mean()))
 
 
-def mesh_psnr(mesh: Mesh, frames: Iterable[Frame], *, near_m: float = NEAR_M) -> float | NotComputed:
+def mesh_psnr(mesh: Mesh, frames: Iterable[Frame]) -> float | NotComputed:
     """PSNR between the vertices of a mesh and the pixels that show them, dB, mean of the views.
 
     A vertex is compared with the pixel that contains its projection, if the depth there is that of the vertex. What the
@@ -246,7 +231,6 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame], *, near_m: float = NEAR_M) ->
     Args:
         mesh: The mesh; its colours are clamped to 0..1 and rounded to 8 bits, as in ``mesh.ply``.
         frames: The views, with poses in the frame of the mesh; one pass.
-        near_m: Largest difference between the depth of the vertex and of the pixel, metres.
 
     Returns:
         Decibels, or the reason why there are none. Views that show no vertex do not count.
@@ -255,7 +239,7 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame], *, near_m: float = NEAR_M) ->
     """
     scores = []
     for frame in frames:
-        shown, pixels = _pairs(mesh, frame.to(mesh.vertices_W.device), near_m)
+        shown, pixels = _pairs(mesh, frame.to(mesh.vertices_W.device))
         if len(shown):
             scores.append(psnr(shown[None], pixels[None]))
     if not scores:
@@ -263,7 +247,7 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame], *, near_m: float = NEAR_M) ->
     return math.fsum(scores) / len(scores)
 
 
-def _pairs(mesh: Mesh, frame: Frame, near_m: float) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
+def _pairs(mesh: Mesh, frame: Frame) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
     """Colours of the vertices that the frame shows, and of their pixels."""
     xyz_C = se3.apply(se3.inverse(frame.T_WC.to(mesh.vertices_W)), mesh.vertices_W)
     rows = (xyz_C[:, 2] > 1e-6).nonzero()[:, 0]
@@ -272,22 +256,18 @@ def _pairs(mesh: Mesh, frame: Frame, near_m: float) -> tuple[Float[Tensor, "N 3"
     inside = ((uv >= 0) & (uv < size)).all(dim=1)
     rows, (column, row) = rows[inside], uv[inside].long().unbind(1)
     depth_m = frame.depth_m[row, column]
-    seen = (depth_m > 0) & ((depth_m - xyz_C[rows, 2]).abs() < near_m)
+    seen = (depth_m > 0) & ((depth_m - xyz_C[rows, 2]).abs() < NEAR_M)
     return mesh.rgb[rows[seen]], frame.rgb[row[seen], column[seen]]
 
 
-def seen_by(
-    xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame], *, tolerance_m: float = 0.05, far_m: float = math.inf
-) -> Bool[Tensor, " N"]:
-    """Points that at least one frame shows: inside its image, and not behind the measured depth (plus a tolerance).
+def seen_by(xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame]) -> Bool[Tensor, " N"]:
+    """Points that at least one frame shows: inside its image, and at most 5 cm behind the measured depth.
 
     A pixel without measured depth shows nothing. The frames are read one by one.
 
     Args:
         xyz_W: Points, metres. [N, 3]
         frames: The observations; one pass.
-        tolerance_m: How far behind the measured depth a point still counts as seen, metres.
-        far_m: Points farther than this from the camera plane do not count, metres.
 
     Differentiable: no.
     """
@@ -299,24 +279,23 @@ def seen_by(
         xyz_C = se3.apply(se3.inverse(frame.T_WC.to(xyz_W)), xyz_W[left])
         z = xyz_C[:, 2]
         uv = project(frame.camera, torch.where(z[:, None] > 1e-6, xyz_C, torch.ones_like(xyz_C)))
-        inside = (z > 1e-6) & (z <= far_m) & (uv >= 0).all(1)
+        inside = (z > 1e-6) & (uv >= 0).all(1)
         inside &= (uv[:, 0] < frame.camera.width) & (uv[:, 1] < frame.camera.height)
         left, z = left[inside], z[inside]
         column, row = uv[inside].long().unbind(1)
         measured = frame.depth_m.to(xyz_W)[row, column]
-        seen[left[(measured > 0) & (z <= measured + tolerance_m)]] = True
+        seen[left[(measured > 0) & (z <= measured + BEHIND_M)]] = True
     return seen
 
 
-def cull_unseen(mesh: Mesh, frames: Iterable[Frame], *, tolerance_m: float = 0.05, far_m: float = math.inf) -> Mesh:
+def cull_unseen(mesh: Mesh, frames: Iterable[Frame]) -> Mesh:
     """The part of ``mesh`` that the frames show: faces of which a corner or the centroid is ``seen_by`` one of them.
 
-    For meshes of small triangles; a wall of two triangles is kept completely if one of its corners is seen. For scores,
-    pass ``observed`` to ``mesh_scores`` instead, which decides for each point.
+    For meshes of small triangles; a wall of two triangles is kept completely if one of its corners is seen.
     """
     n = len(mesh.vertices_W)
     centroids = _corners(mesh).mean(1).to(mesh.vertices_W)
-    seen = seen_by(torch.cat([mesh.vertices_W, centroids]), frames, tolerance_m=tolerance_m, far_m=far_m)
+    seen = seen_by(torch.cat([mesh.vertices_W, centroids]), frames)
     faces = mesh.faces[seen[:n][mesh.faces.long()].any(1) | seen[n:]]
     used, renumbered = torch.unique(faces, return_inverse=True)
     return Mesh(vertices_W=mesh.vertices_W[used.long()], faces=renumbered.to(mesh.faces), rgb=mesh.rgb[used.long()])
@@ -361,23 +340,20 @@ def _to_nearest(xyz: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Floa
     return torch.from_numpy(KDTree(points.cpu().numpy()).query(xyz.cpu().numpy())[0])
 
 
-def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float, distance: str) -> GeometryScores:
+def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> GeometryScores:
     return GeometryScores(
         accuracy_m=float(to_truth.mean()),
         completion_m=float(to_ours.mean()),
         precision=float((to_truth < threshold_m).double().mean()),
         completion_ratio=float((to_ours < threshold_m).double().mean()),
         threshold_m=threshold_m,
-        distance=distance,
     )
 
 
-def _distance(xyz: Tensor, mesh: Mesh, samples: SurfaceSamples, kind: str) -> Tensor:
+def _distance(xyz: Tensor, mesh: Mesh, samples: SurfaceSamples) -> Tensor:
     """Distance of each point to ``mesh``, found through its ``samples``."""
     from scipy.spatial import KDTree
 
-    if kind == "samples":
-        return _to_nearest(xyz, samples.xyz_W)
     corners = _corners(mesh).cpu()
     # samples represent large triangles, centroids those too small to have a sample
     points = torch.cat([samples.xyz_W.cpu(), corners.mean(1)])

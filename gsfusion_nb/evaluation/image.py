@@ -227,45 +227,20 @@ class ImageScores:
     @property
     def psnr(self) -> float | NotComputed:
         """Mean of the per-image PSNR, dB."""
-        return self._mean("psnr")
+        return self.mean("psnr")
 
     @property
     def ssim(self) -> float | NotComputed:
         """Mean SSIM."""
-        return self._mean("ssim")
-
-    @property
-    def lpips(self) -> float | NotComputed:
-        """Mean LPIPS."""
-        return self._mean("lpips")
-
-    @property
-    def ssim_as_released(self) -> float | NotComputed:
-        """Mean of ``evaluation.ssim_as_released``."""
-        return self._mean("ssim_as_released")
-
-    @property
-    def lpips_as_released(self) -> float | NotComputed:
-        """Mean of ``evaluation.lpips_as_released``."""
-        return self._mean("lpips_as_released")
+        return self.mean("ssim")
 
     @property
     def depth_l1_m(self) -> float | NotComputed:
         """Mean of the per-image depth error, metres; views without common depth do not count."""
-        return self._mean("depth_l1_m")
+        return self.mean("depth_l1_m")
 
-    def as_metrics(self, suffix: str) -> dict[str, float | NotComputed]:
-        """The means with the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out"."""
-        return {
-            f"psnr_{suffix}_db": self.psnr,
-            f"ssim_{suffix}": self.ssim,
-            f"lpips_{suffix}": self.lpips,
-            f"ssim_as_released_{suffix}": self.ssim_as_released,
-            f"lpips_as_released_{suffix}": self.lpips_as_released,
-            f"depth_l1_{suffix}_m": self.depth_l1_m,
-        }
-
-    def _mean(self, name: str) -> float | NotComputed:
+    def mean(self, name: str) -> float | NotComputed:
+        """Mean of a field of ``ViewScores`` over the views that have it, or the reason why there is none."""
         values = [getattr(row, name) for row in self.rows]
         missing = [v for v in values if isinstance(v, NotComputed)]
         if missing:
@@ -275,6 +250,17 @@ class ImageScores:
             reason = "no view has both depths" if name == "depth_l1_m" else "the images are too small for its window"
             return NotComputed(reason if values else "no view to score")
         return sum(known) / len(known)
+
+    def as_metrics(self, suffix: str) -> dict[str, float | NotComputed]:
+        """The means with the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out"."""
+        return {
+            f"psnr_{suffix}_db": self.psnr,
+            f"ssim_{suffix}": self.ssim,
+            f"lpips_{suffix}": self.mean("lpips"),
+            f"ssim_as_released_{suffix}": self.mean("ssim_as_released"),
+            f"lpips_as_released_{suffix}": self.mean("lpips_as_released"),
+            f"depth_l1_{suffix}_m": self.depth_l1_m,
+        }
 
 
 def score_view(view: RenderOutput, frame: Frame, *, with_lpips: bool = False, quantise: bool = True) -> ViewScores:

@@ -140,12 +140,8 @@ FAR_DEPTH_M = 30.0
 DEPTH_SCALE = (1.0, 1_000_000.0)
 """Stored depth value of one metre: from metres to micrometres."""
 
-LATEST_S = 1e11
-"""Time of a frame, seconds; the seconds since 1970 are 1.8e9."""
 LEAST_SIDE_PX = 2
 """Side of an image, pixels: gradients and the points between pixels need neighbours."""
-FARTHEST = 1e7
-"""Distance and size of a Gaussian of another program, in its units: farther out float32 cannot hold one of them."""
 
 
 def check_plausible_camera(source: str, camera: Camera) -> None:

@@ -10,10 +10,10 @@ import torch
 
 from ..config import SystemConfig, to_dict
 from ..data import Sequence, SequenceError, apply_options, open_sequence
-from ..data.adjust.depth_agreement import check_sequence
+from ..data.adjust.depth_agreement import agreeing_share
 from ..data.stream import Policy
 from ..evaluation import ONLINE
-from ..export import read_gaussians
+from ..export import read_gaussian_ply
 from ..files import DiskFullError
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..optim import UpdateFunction
@@ -62,7 +62,7 @@ def run_mapping(
         evaluate: Score mapped and held-out views and write the report; the maps are always written.
         checkpoints: How often to save a checkpoint, so that the run can be resumed if it is killed; every 30 s by
             default.
-        from_gaussians: File of Gaussians (``read_gaussians``) that the map begins with, in the frame of the poses.
+        from_gaussians: File of Gaussians (``read_gaussian_ply``) that the map begins with, in the frame of the poses.
         watch: Sees every mapped frame and the finished maps, such as ``viz.rerun_file.RerunFile``.
         loss, optimiser: Instead of the system's own loss and Adam (``Mapper``); metrics.json and config.json name them.
         reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
@@ -81,7 +81,7 @@ def run_mapping(
         source, sequence = {}, apply_options(data, settings.data)
     mapper = make_mapper(settings, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
     if from_gaussians is not None:
-        mapper.begin_with(read_gaussians(from_gaussians), Path(from_gaussians).name)
+        mapper.begin_with(read_gaussian_ply(from_gaussians), Path(from_gaussians).name)
     run = MappingRun(sequence, mapper, source=source)
     if from_gaussians is not None and settings.tracking.poses == "given":
         run.warnings += doubts_about_frame(mapper, sequence.mapping, Path(from_gaussians).name)
@@ -139,10 +139,11 @@ def _settings(config: SystemConfig | str | None, system: str, *, is_room: bool) 
 def _doubts(sequence: Sequence) -> list[str]:
     """A warning if poses or depth seem to follow another convention, checked on a few pairs of frames."""
     try:
-        verdict = check_sequence(sequence)
+        share = agreeing_share(sequence)
     except SequenceError:
         return []
-    return [] if verdict.ok else [f"depth and poses look {verdict}"]
+    said = f"only {share:.0%} of the points of a frame agree with a later frame; gsfusion-nb check finds out why"
+    return [] if share > 1 / 3 else [said]
 
 
 class FinishedRun:
@@ -348,7 +349,6 @@ def map_stream(
     mapper: Mapper,
     *,
     policy: Policy | None = None,
-    queue_frames: int = 4,
     folder: Path | str | None = None,
     evaluate: bool = True,
     on_stop: Literal["save", "finish"] = "save",
@@ -363,11 +363,10 @@ def map_stream(
     keyframes only a few frames are kept, for scoring.
 
     Args:
-        frames: Any iterable: a list, a generator, a camera (``RealSense``, ``AzureKinect``), a ``GrowingFolder``.
+        frames: Any iterable: a list, a generator, a camera (``RealSense``), a ``GrowingFolder``.
         mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
-        policy: "all", "queue", "latest" or "drop" (``gsfusion_nb.data.stream.POLICIES``); the source's own by
-            default ("latest" for cameras, "all" for anything else).
-        queue_frames: Largest number of waiting frames, for "all" and "queue".
+        policy: "all" or "latest" (``gsfusion_nb.data.stream.POLICIES``); the source's own by default ("latest" for
+            cameras, "all" for anything else).
         folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
         evaluate: Score the frames that were kept and write the report.
         on_stop: What Ctrl-C does: "save" ends the run; "finish" ends only the stream, and the optimisation and the
@@ -390,7 +389,7 @@ def map_stream(
             stop.wanted = False
 
     with RunFolder(new_folder(getattr(frames, "name", "stream"), folder)) as place:
-        run = StreamRun(frames, mapper, policy=policy, queue_frames=queue_frames)
+        run = StreamRun(frames, mapper, policy=policy)
         run.watchers += [watch] if watch is not None else []
         return drive(run, place, evaluate, map_frames, every=checkpoints)
 

@@ -35,7 +35,6 @@ class StreamRun(MappingRun):
         mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
         policy: What happens to frames when mapping is slower than the source
             (``gsfusion_nb.data.stream.POLICIES``); by default the policy of the source, or "all".
-        queue_frames: Largest number of waiting frames, for "all" and "queue".
         until: Called while no frame arrives; the stream ends when it returns True.
 
     Raises:
@@ -50,7 +49,6 @@ class StreamRun(MappingRun):
         mapper: Mapper,
         *,
         policy: Policy | None = None,
-        queue_frames: int = 4,
         until: Callable[[], bool] = lambda: False,
     ):
         name = getattr(frames, "name", "stream")
@@ -62,7 +60,7 @@ class StreamRun(MappingRun):
         data = self.mapper.config.data
         earlier = self.mapper.localiser.frame_indices
         selected = SelectedFrames(frames, data, name=name, first_index=max(earlier, default=-1) + 1)
-        self._feed = BackgroundFrames(selected, policy=self.policy, size=queue_frames, until=lambda: self.until())
+        self._feed = BackgroundFrames(selected, policy=self.policy, until=lambda: self.until())
         self._n_taken = self.n_unusable = 0
         self._holds_out = data.hold_out_every > 0 and (self.kept.has_poses or not self.mapper.localiser.is_tracking)
         self._n_earlier = len(earlier)
@@ -118,8 +116,8 @@ class StreamRun(MappingRun):
     def extra_metrics(self) -> dict[str, Any]:
         """Numbers of frames received, dropped and unusable, and the policy."""
         return {
-            "n_frames_received": self._feed.queue.n_received,
-            "n_frames_dropped": self._feed.queue.n_dropped,
+            "n_frames_received": self._feed.n_received,
+            "n_frames_dropped": self._feed.n_dropped,
             "n_frames_unusable": self.n_unusable,
             "policy": self.policy,
         }

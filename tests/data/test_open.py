@@ -137,3 +137,10 @@ def test_wrong_paths_and_names(tmp_path, box):
             open_sequence(path, split="test")
     with pytest.raises(SequenceNotFoundError, match=r"traj\.txt"):
         open_sequence(root, format="replica")
+
+
+def test_who_gives_a_bag_to_map_is_sent_to_convert(tmp_path):
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0")
+    for path in (tmp_path / "a.bag", tmp_path):
+        with pytest.raises(SequenceError, match=r"gsfusion-nb convert"):
+            open_sequence(path)

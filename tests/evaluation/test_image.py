@@ -90,11 +90,6 @@ def test_ssim_matches_its_definition_pixel_by_pixel(generator):
     assert ssim(a, b, quantise=False) == pytest.approx(total / (9 * 12 * 3), abs=1e-12)
 
 
-def test_ssim_in_float32_agrees_with_float64(generator):
-    a, b = picture(generator, 40, 50), picture(generator, 40, 50)
-    assert ssim(a, b) == pytest.approx(ssim(a.double(), b.double()), abs=1e-5)
-
-
 def test_metrics_refuse_images_of_different_shape_or_too_small():
     with pytest.raises((ValueError, TypeCheckError)):
         psnr(torch.zeros(4, 4, 3), torch.zeros(4, 5, 3))
@@ -119,15 +114,6 @@ def test_ssim_as_released_is_that_of_torchmetrics_1_4():
     a, b = patterned()
     assert ssim_as_released(a, b, quantise=False) == pytest.approx(0.68686813212366, abs=1e-12)
     assert ssim(a, b, quantise=False) == pytest.approx(0.6793310, abs=1e-6)
-
-
-def test_ssim_as_released_does_not_see_the_border(generator):
-    """A pixel of the border counts only in windows that reach it, and those are around pixels nearer than 6."""
-    a, b = patterned()
-    inner = ssim_as_released(a, b)
-    assert ssim_as_released(a[5:-5, 5:-5], b[5:-5, 5:-5]) != inner
-    with pytest.raises(ValueError, match="at least 11 pixels"):
-        ssim_as_released(torch.zeros(10, 30, 3), torch.zeros(10, 30, 3))
 
 
 class Network(torch.nn.Module):
@@ -164,28 +150,6 @@ def test_lpips_without_its_package_says_so(monkeypatch, no_cached_network):
     assert isinstance(result, NotComputed)
     assert lpips_as_released(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3)) == result
     assert str(result).startswith("not computed: package 'lpips' is not installed")
-
-
-def test_lpips_without_weights_says_so_and_never_builds_the_network(monkeypatch, no_cached_network, tmp_path):
-    """A stand-in package: building the network would mean a download, so it must not happen."""
-
-    class Package:
-        @staticmethod
-        def LPIPS(**_):
-            raise AssertionError("this would download")
-
-    class Models:
-        class AlexNet_Weights:
-            class IMAGENET1K_V1:
-                url = "https://example.org/alexnet-owt-7be5be79.pth"
-
-    monkeypatch.setitem(sys.modules, "lpips", Package)
-    monkeypatch.setitem(sys.modules, "torchvision", Models)
-    monkeypatch.setitem(sys.modules, "torchvision.models", Models)
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    result = lpips(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))
-    assert isinstance(result, NotComputed)
-    assert "alexnet-owt-7be5be79.pth" in result.reason
 
 
 def test_depth_error_counts_only_pixels_with_both():
@@ -225,7 +189,7 @@ def test_score_views_reads_frames_one_by_one(generator):
     assert scores.psnr == pytest.approx(np.mean([row.psnr for row in scores.rows]))
     assert scores.depth_l1_m == pytest.approx(0.1, abs=1e-5)
     assert scores.rows[0].depth_share == 1.0
-    assert isinstance(scores.lpips, NotComputed)
+    assert isinstance(scores.mean("lpips"), NotComputed)
     assert set(scores.as_metrics("held_out")) == {
         "psnr_held_out_db", "ssim_held_out", "lpips_held_out", "depth_l1_held_out_m",
         "ssim_as_released_held_out", "lpips_as_released_held_out",

@@ -9,7 +9,7 @@ import torch
 from gsfusion_nb.cli import main
 from gsfusion_nb.config import gps_slam
 from gsfusion_nb.evaluation import psnr
-from gsfusion_nb.export import read_gaussian_ply, read_map_glb
+from gsfusion_nb.export import read_gaussian_ply
 from gsfusion_nb.mapping.gps_surface import CAMERA, fit_to_pictures, plain_gaussians, surface_discs
 from gsfusion_nb.render import render
 from gsfusion_nb.runs import FinishedRun, run_mapping
@@ -76,7 +76,3 @@ def test_a_file_of_a_run_holds_the_surface_unless_it_is_left_out(run, tmp_path: 
     assert len(read_gaussian_ply(tmp_path / "both.ply")) > n
     assert main(["export", str(run.folder), str(tmp_path / "bare.ply"), "--bake-steps", "-1"]) == 0
     assert len(read_gaussian_ply(tmp_path / "bare.ply")) == n
-    assert main(["export", str(run.folder), str(tmp_path / "map.glb")]) == 0
-    gaussians, mesh = read_map_glb(tmp_path / "map.glb")
-    assert len(gaussians) == n
-    assert len(mesh.faces) > n

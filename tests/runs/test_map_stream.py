@@ -229,12 +229,7 @@ def test_ctrl_c_between_frames_of_an_endless_stream(tmp_path, frames, config):
 
 @pytest.mark.parametrize(
     ("policy", "mapped", "dropped"),
-    [
-        ("latest", [0, 7], 6),
-        ("drop", [0], 7),
-        ("queue", [0, 5, 6, 7], 4),
-        ("all", [0, 1, 2, 3, 4, 5, 6, 7], 0),
-    ],
+    [("latest", [0, 7], 6), ("all", [0, 1, 2, 3, 4, 5, 6, 7], 0)],
 )
 def test_what_happens_to_frames_that_come_while_the_first_is_mapped(
     tmp_path, frames, config, monkeypatch, policy, mapped, dropped
@@ -255,9 +250,7 @@ def test_what_happens_to_frames_that_come_while_the_first_is_mapped(
 
     step_then(monkeypatch, after)
     every = replace(config, data__hold_out_every=0)
-    run = map_stream(
-        source(), make_mapper(every), policy=policy, queue_frames=3, folder=tmp_path / "out", evaluate=False
-    )
+    run = map_stream(source(), make_mapper(every), policy=policy, folder=tmp_path / "out", evaluate=False)
     assert [s.frame_index for s in run.run.steps] == mapped
     assert run.metrics["n_frames_received"] == 8
     assert run.metrics["n_frames_dropped"] == dropped

@@ -119,7 +119,7 @@ def test_checkpoints_that_do_not_fit_do_not_end_the_run(tmp_path, small_room, co
         )  # fmt: skip
     assert run.run.status == "complete"
     assert "this checkpoint could not be saved" in caplog.text
-    assert "pieces cannot be written" in caplog.text
+    assert "state cannot be written" in caplog.text
     assert (run.folder / "gaussians.ply").exists()
 
 

@@ -1,7 +1,5 @@
-"""How well the depth of one frame predicts that of another, and a quick test of a recording by it.
-
-Points of one depth image are moved into another under one or many relative poses. ``check_sequence`` does so for a few
-pairs of frames under the usual mistakes; ``gsfusion-nb check`` tests more.
+"""How well the depth of one frame predicts that of another: points of one depth image are moved into another under one
+or many relative poses.
 """
 
 from dataclasses import dataclass, replace
@@ -20,17 +18,6 @@ AGREES = 0.03
 """A point agrees when its depth differs by less than this share: a Kinect's noise at 4 m is 1 to 2 per cent."""
 
 _MIN_ANGLE_RAD = 0.12
-
-AS_READ = "as read"
-USUAL_INTERPRETATIONS = {
-    AS_READ: RepairConfig(),
-    "inverted poses (they are world-to-camera)": RepairConfig(poses="world_to_camera"),
-    "OpenGL axes (y up, z backward)": RepairConfig(axes="opengl"),
-    "a depth scale that was 1000 instead of 5000": RepairConfig(depth_factor=0.2),
-    "a depth scale that was 5000 instead of 1000": RepairConfig(depth_factor=5.0),
-    "a depth scale that was 1000 instead of 6553.5": RepairConfig(depth_factor=0.1526),
-}
-"""The most frequent mistakes, and what repairs them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,36 +116,6 @@ class DepthAgreement:
     """Share of the first frame's points that also agree with it within 3 per cent."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SequenceCheck:
-    """The interpretation of poses and depth scale under which neighbouring frames agree best."""
-
-    agreeing: dict[str, float]
-    """Share of agreeing points for each interpretation; "as read" is the sequence as it is."""
-
-    @property
-    def best(self) -> str:
-        """The interpretation under which most points agree."""
-        return max(self.agreeing, key=self.agreeing.__getitem__)
-
-    @property
-    def ok(self) -> bool:
-        """Whether a third of the points agree as read, and no other interpretation is clearly better."""
-        as_read = self.agreeing[AS_READ]
-        return as_read > 1 / 3 and self.agreeing[self.best] < as_read + 0.1
-
-    def __str__(self) -> str:
-        share = f"{self.agreeing[AS_READ]:.0%} of the points of a frame agree with a later frame"
-        if self.ok:
-            return f"consistent: {share}"
-        if self.best == AS_READ:
-            return f"doubtful: only {share}, and no usual mistake explains it; gsfusion-nb check tries more"
-        return (
-            f"inconsistent: only {share}, but {self.agreeing[self.best]:.0%} do with {self.best}: "
-            f"{USUAL_INTERPRETATIONS[self.best].flags}; gsfusion-nb check finds more"
-        )
-
-
 def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
     """Move the points of frame ``a`` into frame ``b`` and compare with the depth measured there.
 
@@ -171,32 +128,26 @@ def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
     return DepthAgreement(median_m=float(found.median_m), overlap=float(found.overlap), agreeing=float(found.agreeing))
 
 
-def check_sequence(sequence: Sequence, *, pairs: int = 4) -> SequenceCheck:
-    """Try the usual mistakes on a few pairs of frames: inverted poses, OpenGL axes, a wrong depth scale.
+def agreeing_share(sequence: Sequence, *, pairs: int = 4) -> float:
+    """Mean share of a frame's points that agree with a later frame, over a few pairs spread over the sequence.
 
-    Args:
-        sequence: Any sequence with some motion.
-        pairs: Number of pairs, spread over the sequence.
+    Inverted poses, another convention of axes or a wrong depth scale leave less than a third.
 
     Raises:
         SequenceError: no two usable frames.
     """
-    scores = []
+    shares = []
     for k in range(pairs):
         first = k * len(sequence) // (pairs + 1)
         try:
             a, b = sequence[first], sequence[_partner(sequence, first)]
         except BadFrameError:
             continue
-        if a.index == b.index:
-            continue
-        stored = torch.stack([a.T_WC, b.T_WC]).double()
-        T_ba = torch.cat([relative_under(stored[:1], stored[1:], r) for r in USUAL_INTERPRETATIONS.values()])
-        scores.append(depth_consistency(depth_pair(a.depth_m, b.depth_m, b.camera), T_ba).agreeing)
-    if not scores:
+        if a.index != b.index:
+            shares.append(depth_agreement(a, b).agreeing)
+    if not shares:
         raise SequenceError(f"{sequence.name} has no two usable frames; expected at least two to compare")
-    mean = torch.stack(scores).mean(0).tolist()
-    return SequenceCheck(agreeing=dict(zip(USUAL_INTERPRETATIONS, mean, strict=True)))
+    return sum(shares) / len(shares)
 
 
 def relative_under(T_a: torch.Tensor, T_b: torch.Tensor, interpretation: RepairConfig) -> torch.Tensor:

@@ -1,7 +1,5 @@
 """Camera poses from text, checked rigid: one matrix per line or file, lines that name an image, and poses by time."""
 
-import itertools
-import logging
 import re
 from pathlib import Path
 
@@ -178,8 +176,6 @@ def no_poses(n: int) -> Float[Tensor, "n 4 4"]:
     return torch.eye(4, dtype=torch.float64).expand(n, 4, 4).clone()
 
 
-log = logging.getLogger(__name__)
-
 POSE_LINE = "16 row-major numbers of a camera-to-world pose, or the name of an image and these"
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 
@@ -252,9 +248,8 @@ def _lines_by_name(path: Path, names: list[str | None], images: list[Path]) -> l
 
 
 def _lines_by_number(path: Path, n_lines: int, images: list[Path], first_image: int | None) -> list[int]:
-    numbers = [image_number(image) for image in images]
     if first_image is not None:
-        lines = [-1 if number is None else number - first_image for number in numbers]
+        lines = [-1 if (n := image_number(image)) is None else n - first_image for image in images]
         bad = [image for image, line in zip(images, lines, strict=True) if not 0 <= line < n_lines]
         if bad:
             raise SequenceError(
@@ -267,18 +262,4 @@ def _lines_by_number(path: Path, n_lines: int, images: list[Path], first_image: 
             "missing, put first_image, the number of the first line's image, into intrinsics.json, or the name of its "
             "image before each pose"
         )
-    steps = {b - a for a, b in itertools.pairwise(numbers) if a is not None and b is not None}
-    if len(steps) > 1:
-        gap = next(b for a, b in itertools.pairwise(images) if _step(a, b) != min(steps))
-        log.warning(
-            "%s: the numbers of the images have a gap before %s, but line k is taken as the pose of the k-th image: if "
-            "an image is missing, all later poses are wrong (with first_image in intrinsics.json, lines belong to "
-            "images by number)",
-            path,
-            gap.name,
-        )
     return list(range(n_lines))
-
-
-def _step(a: Path, b: Path) -> int:
-    return (image_number(b) or 0) - (image_number(a) or 0)

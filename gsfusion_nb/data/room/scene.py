@@ -182,8 +182,6 @@ class Scene:
     """Lit sRGB texture of all charts with mip levels. [H, W, 3] uint8"""
     texel_of_patch: ndarray
     """Edge of a texel by patch number, metres. [P]"""
-    gloss_of_patch: ndarray
-    """Height of the specular lobe by patch number. [P]"""
 
 
 @functools.lru_cache(maxsize=2)
@@ -209,7 +207,6 @@ def load_scene(seed: int, cache: bool = True) -> Scene:
         curved=curved,
         atlas=with_mips(level0),
         texel_of_patch=layout.texel_m[chart_of_patch],
-        gloss_of_patch=np.array([charts[k].paint.gloss for k in chart_of_patch], np.float32),
     )
 
 

@@ -7,7 +7,6 @@ neighbouring pixels belong to different patches, the four points are intersected
 import numpy as np
 from numpy import ndarray
 
-from .lighting import LIGHTS
 from .raycast import Hits, RoomView
 from .scene import LEVELS, Scene, level_offsets
 
@@ -89,7 +88,7 @@ class _TextureLookup:
         piece = self.view.curved[i]
         o, d = self.view.local_rays(piece, x, y)
         t = 1.0 / w
-        n = piece.normal(o + t[:, None] * np.stack(d, -1)) @ (piece.R.T @ self.view.R)
+        n = piece.shape.normal(o + t[:, None] * np.stack(d, -1)) @ (piece.shape.R.T @ self.view.R)
         k = t * (n[:, 0] * x + n[:, 1] * y + n[:, 2])
         k = np.minimum(k, -0.02 * t)  # at the silhouette the ray lies in the tangent plane
         return n[:, 0] / k, n[:, 1] / k
@@ -98,8 +97,8 @@ class _TextureLookup:
         piece, layout = self.view.curved[i], self.scene.layout
         o, d = self.view.local_rays(piece, x, y)
         p = o + np.stack(d, -1) * t[..., None]
-        if piece.t is not piece.solid.t:  # a piece of a rounded box
-            p = piece.solid.to_local(p @ piece.R.T + piece.t)
+        if piece.shape is not piece.solid:  # a piece of a rounded box
+            p = piece.solid.to_local(p @ piece.shape.R.T + piece.shape.t)
         face, u, v = piece.solid.chart(p)
         chart = piece.charts[face]
         chart = np.where(chart < 0, piece.charts.max(), chart)
@@ -184,30 +183,5 @@ def _inverse_depth(lookup: _TextureLookup, view: RoomView, patch: ndarray, x: nd
     w = np.where(inside, w, -1.0)
     for i, at in lookup.segments(patch):
         o, d = view.local_rays(view.curved[i], x[at], y[at])
-        w[at] = 1.0 / view.curved[i].intersect(o, d)
+        w[at] = 1.0 / view.curved[i].shape.intersect(o, d)
     return np.where(w > 0, w, -1.0)
-
-
-def with_highlights(rgb: ndarray, scene: Scene, view: RoomView, hits: Hits) -> ndarray:
-    """``rgb`` plus a broad lobe gloss * light * (n.h)^16 of every light on glossy patches (Blinn 1977). [H, W, 3]"""
-    row, col = np.nonzero(scene.gloss_of_patch[hits.patch] > 0)
-    patch = hits.patch[row, col]
-    ray = np.stack([view.x[col], view.y[row], np.ones(len(row))], -1) @ view.R.T
-    xyz = view.eye + ray / hits.w[row, col, None]
-    n_flat = len(view.flat.chart)
-    normal = view.flat.normal[np.minimum(patch, n_flat - 1)]
-    for i in np.unique(patch[patch >= n_flat]):
-        at, piece = patch == i, view.curved[i - n_flat]
-        normal[at] = piece.normal((xyz[at] - piece.t) @ piece.R) @ piece.R.T
-    to_eye = -ray / np.linalg.norm(ray, axis=1, keepdims=True)
-    added = np.zeros_like(xyz)
-    for light in LIGHTS:
-        to_light = np.array(light.position) - xyz
-        distance = np.linalg.norm(to_light, axis=1, keepdims=True)
-        half = to_light / distance + to_eye
-        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-        lobe = np.maximum((normal * half).sum(1, keepdims=True), 0) ** 16
-        added += lobe / (distance**2 + 0.25) * np.array(light.colour)
-    out = rgb.copy()
-    out[row, col] += (scene.gloss_of_patch[patch][:, None] * added).astype(np.float32)
-    return np.minimum(out, 1.0)

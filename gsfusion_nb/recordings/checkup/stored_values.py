@@ -48,7 +48,7 @@ def examine_files(source: RecordedSequence, given: RepairConfig) -> tuple[Repair
 def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
     """Finding: do colour, depth and intrinsics have the same size?"""
     rgb_size, depth_size = _stored_sizes(source)
-    expected = source.stored_size or (source.camera.width, source.camera.height)
+    expected = (source.camera.width, source.camera.height)
     if rgb_size is None or depth_size is None:
         return RepairConfig(), Finding("image size", "ok", "No pair of images could be read.")
     sizes = {"colour": rgb_size, "depth": depth_size, "the intrinsics": expected}

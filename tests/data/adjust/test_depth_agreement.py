@@ -7,7 +7,7 @@ import torch
 
 from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.adjust.depth_agreement import (
-    check_sequence,
+    agreeing_share,
     depth_agreement,
     depth_consistency,
     depth_pair,
@@ -39,30 +39,27 @@ WRONG = {
 
 
 @pytest.mark.parametrize("mistake", [None, *WRONG])
-def test_names_the_mistake(tmp_path, box, mistake):
+def test_mistakes_leave_less_than_a_third(tmp_path, box, mistake):
     root = box.folder(tmp_path, n=30, depth_scale=WRONG[mistake][1] if mistake else 1000.0)
     if mistake:
         lines = [" ".join(map(repr, WRONG[mistake][0](T).flatten().tolist())) for T in box.poses(30)]
         (root / "poses.txt").write_text("\n".join(lines))
-    check = check_sequence(folder(root))
-    assert check.ok == (mistake is None)
-    assert (mistake or "as read") in check.best
-    assert str(check).startswith("inconsistent" if mistake else "consistent")
+    assert (agreeing_share(folder(root)) > 1 / 3) == (mistake is None)
 
 
 def test_bad_frames_are_passed_over(tmp_path, box):
     root = box.folder(tmp_path, n=20)
     (root / "depth/000000.png").write_bytes(b"")
-    assert check_sequence(folder(root)).ok
+    assert agreeing_share(folder(root)) > 1 / 3
     for p in (root / "depth").iterdir():
         p.write_bytes(b"")
     with pytest.raises(SequenceError, match="has no two usable frames"):
-        check_sequence(folder(root))
+        agreeing_share(folder(root))
 
 
 @pytest.mark.parametrize("name", ["redkitchen_mini48", "livingroom1_clean211"])
 def test_real_sequences_are_consistent(shared_sequence, name):
-    assert check_sequence(folder(shared_sequence(name))).ok
+    assert agreeing_share(folder(shared_sequence(name))) > 1 / 3
 
 
 CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)

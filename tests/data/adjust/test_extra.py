@@ -53,7 +53,7 @@ def test_extra_images_are_resized_with_the_frame():
     }  # fmt: skip
     assert frame.extra["labels"].dtype == torch.int64
     assert frame.extra["labels"].tolist() == [[0, 0, 7, 7]] * 3  # no class between two classes
-    assert frame.extra["sigma"][0].tolist() == [4.5, 6.5, 8.5, 10.5]  # means of 2 x 2 pixels
+    assert frame.extra["sigma"][0].tolist() == [0, 2, 4, 6]  # of the nearest pixels
     whole = apply_options(Plain(), DataConfig(), labels).mapping[0]
     assert torch.equal(whole.extra["labels"], torch.from_numpy(labels(whole)["labels"]))
     assert dataclasses.replace(whole, index=3).to("cpu").extra["labels"] is whole.extra["labels"]

@@ -188,13 +188,3 @@ def test_fr1_images_are_consistent_only_when_undistorted(tmp_path, box):
     assert box.off_wall_m(on[1]) < 0.002
     assert box.off_wall_m(off[1]) > 0.005
     assert depth_agreement(on[0], on[1]).median_m < 0.003  # two roundings to whole pixels on slanted walls
-
-
-def test_two_poses_at_one_time_are_named(tmp_path):
-    from gsfusion_nb.data.recorded.poses import read_stamped_poses
-
-    (tmp_path / "g.txt").write_text("2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
-    assert read_stamped_poses(tmp_path / "g.txt")[0].tolist() == [1, 2]
-    (tmp_path / "g.txt").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n")
-    with pytest.raises(SequenceError, match=r"g\.txt has two different poses"):
-        read_stamped_poses(tmp_path / "g.txt")

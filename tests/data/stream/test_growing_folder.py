@@ -10,7 +10,6 @@ from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.data.recorded.images import is_complete_image
 from gsfusion_nb.data.stream import GrowingFolder
-from gsfusion_nb.data.stream.growing_folder import PosesOfImages
 from gsfusion_nb.types import Frame
 
 
@@ -118,6 +117,7 @@ def test_a_frame_comes_only_when_both_images_and_the_pose_are_whole(writer):
     source = follow(writer)
     frame = next(source)
     assert writer.waits == 9
+    assert not writer.steps
     assert frame.rgb.shape == (48, 64, 3)
 
 
@@ -207,15 +207,6 @@ def test_images_that_do_not_begin_at_0_need_to_say_whose_the_first_line_is(write
     check_poses(everything(follow(writer)), folder(recorded), {0: 1, 1: 2})
 
 
-def test_two_images_of_one_number_are_named(writer):
-    writer.then(writer.camera(), *writer.whole(0), *writer.whole(1))
-    for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
-        shutil.copy(writer.source / kind / f"000002.{suffix}", writer.target / kind / f"b_000001.{suffix}")
-    found = everything(follow(writer))
-    assert indices(found) == [0, 1, "bad"]
-    assert "b_000001.jpg has the same number as an image before it" in found[2]
-
-
 def test_the_stop_file_ends_it_after_the_frames_that_are_there(writer):
     writer.then(writer.camera(), *writer.whole(0), *writer.whole(1)[:2], writer.pose(1, slice(0, -1)), writer.stop)
     source = follow(writer)
@@ -239,23 +230,3 @@ def test_a_folder_without_intrinsics_says_so_in_the_end(writer):
     (writer.target / "intrinsics.json").write_text('{"width": 64')
     with pytest.raises(SequenceError, match=r"intrinsics\.json is not valid JSON"):
         everything(follow(writer, idle_s=1))
-
-
-def test_lines_that_are_appended_or_written_anew(tmp_path):
-    poses = PosesOfImages(tmp_path / "poses.txt")
-
-    def there() -> list[int]:
-        poses.update()
-        return [i for i in range(4) if poses.is_there(Path(f"{i}.jpg"))]
-
-    poses.first_image = 0
-    assert there() == []
-    poses.path.write_text("# x y\na\n\nb\nc")
-    assert there() == [0, 1]
-    with poses.path.open("a") as file:
-        file.write("c\nd\n")
-    assert there() == [0, 1, 2, 3]
-    poses.path.write_text("A\nB\nC")
-    assert there() == [0, 1]
-    assert not poses.update(final=True)
-    assert there() == [0, 1, 2]
