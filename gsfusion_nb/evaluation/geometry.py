@@ -55,24 +55,9 @@ class GeometryScores:
         names = ("accuracy_m", "completion_m", "precision", "completion_ratio", "f_score", "threshold_m")
         return {f"{prefix}_{name}": getattr(self, name) for name in names}
 
-    def __str__(self) -> str:
-        return (
-            f"accuracy {self.accuracy_m * 100:.2f} cm, completion {self.completion_m * 100:.2f} cm, within "
-            f"{self.threshold_m * 100:g} cm: precision {self.precision:.1%}, "
-            f"completion ratio {self.completion_ratio:.1%}, F-score {self.f_score:.3f}"
-        )
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SurfaceSamples:
-    """Points on a mesh and the triangles they lie on."""
-
-    xyz_W: Float[Tensor, "N 3"]
-    face: Int[Tensor, " N"]
-
-
-def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> SurfaceSamples:
-    """``n`` points spread evenly over the area of ``mesh``, float64.
+def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
+    """``n`` points spread evenly over the area of ``mesh``, float64, and the triangles that they lie on.
 
     A triangle is drawn with probability area / total area; inside it the point (1 - r) a + r ((1 - s) b + s c) with
     r = sqrt(u1), s = u2 is uniform.
@@ -89,7 +74,7 @@ def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> SurfaceSam
     face, draw = _drawn_by_area(upto, n, generator)
     r, s = draw[:, 1:2].sqrt(), draw[:, 2:3]
     a, b, c = corners[face].unbind(1)
-    return SurfaceSamples(xyz_W=(1 - r) * a + r * ((1 - s) * b + s * c), face=face)
+    return (1 - r) * a + r * ((1 - s) * b + s * c), face
 
 
 def _drawn_by_area(
@@ -128,7 +113,7 @@ def mesh_scores(
     if len(mesh.faces) == 0:
         return NotComputed("the reconstructed mesh has no faces")
     ours, truth = sample_surface(mesh, n_samples, generator), sample_surface(reference, n_samples, generator)
-    return _scores(_distance(ours.xyz_W, reference, truth), _distance(truth.xyz_W, mesh, ours), threshold_m)
+    return _scores(_distance(ours[0], reference, truth), _distance(truth[0], mesh, ours), threshold_m)
 
 
 def sample_discs(params: GaussianParams, n: int, generator: torch.Generator) -> Float[Tensor, "n 3"]:
@@ -173,27 +158,13 @@ def disc_scores(
     ours = sample_discs(params, n_samples, generator)
     if not len(ours):
         return NotComputed("the map has no opaque Gaussian")
-    truth = sample_surface(reference, n_samples, generator).xyz_W
+    truth, _ = sample_surface(reference, n_samples, generator)
     return _scores(_to_nearest(ours, truth), _to_nearest(truth, ours), threshold_m)
-
-
-@dataclass(frozen=True, kw_only=True)
-class OwnMeshDistance:
-    """Distance of Gaussian centres from samples of the mesh of the same run."""
-
-    mean_m: float
-    """Mean distance, metres ("L1 SCD" of the released evaluation)."""
-    mean_square_m2: float
-    """Mean squared distance, square metres ("L2 SCD")."""
-
-    def as_metrics(self) -> dict[str, float]:
-        """The numbers with the names of the metrics table."""
-        return {"centres_to_own_mesh_m": self.mean_m, "centres_to_own_mesh_m2": self.mean_square_m2}
 
 
 def centres_to_own_mesh(
     params: GaussianParams, mesh: Mesh, *, generator: torch.Generator
-) -> OwnMeshDistance | NotComputed:
+) -> tuple[float, float] | NotComputed:
     """How far the Gaussian centres are from the run's own mesh, as GSFusion's released evaluation measures it.
 
     One way only, from every centre (also of transparent Gaussians) to the nearest of the points drawn on the mesh, one
@@ -207,7 +178,8 @@ def centres_to_own_mesh(
         generator: Draws the samples.
 
     Returns:
-        The distances, or the reason why there are none.
+        Mean distance, metres ("L1 SCD" of the released evaluation), and mean squared distance, square metres ("L2
+        SCD"), or the reason why there are none.
 
     Differentiable: no. Source: GSFusion's released evaluation (``eval_pcd.py``).
     """
@@ -218,8 +190,8 @@ def centres_to_own_mesh(
     n = int(_areas(_corners(mesh)).sum() * SAMPLES_PER_M2)
     if n == 0:
         return NotComputed("the run's mesh is smaller than 1 cm^2")
-    distance = _to_nearest(params.xyz_W.double(), sample_surface(mesh, n, generator).xyz_W)
-    return OwnMeshDistance(mean_m=float(distance.mean()), mean_square_m2=float(distance.square().mean()))
+    distance = _to_nearest(params.xyz_W.double(), sample_surface(mesh, n, generator)[0])
+    return float(distance.mean()), float(distance.square().mean())
 
 
 def mesh_psnr(mesh: Mesh, frames: Iterable[Frame]) -> float | NotComputed:
@@ -350,14 +322,14 @@ def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> GeometrySc
     )
 
 
-def _distance(xyz: Tensor, mesh: Mesh, samples: SurfaceSamples) -> Tensor:
+def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor:
     """Distance of each point to ``mesh``, found through its ``samples``."""
     from scipy.spatial import KDTree
 
     corners = _corners(mesh).cpu()
     # samples represent large triangles, centroids those too small to have a sample
-    points = torch.cat([samples.xyz_W.cpu(), corners.mean(1)])
-    faces = torch.cat([samples.face.cpu(), torch.arange(len(corners))])
+    points = torch.cat([samples[0].cpu(), corners.mean(1)])
+    faces = torch.cat([samples[1].cpu(), torch.arange(len(corners))])
     k = min(NEIGHBOURS, len(points))
     index = KDTree(points.numpy()).query(xyz.cpu().numpy(), k=k)[1]
     candidates = faces[torch.from_numpy(index).reshape(len(xyz), k)]

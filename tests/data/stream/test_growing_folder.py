@@ -8,7 +8,6 @@ import torch
 
 from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.data.readers import folder
-from gsfusion_nb.data.recorded.images import is_complete_image
 from gsfusion_nb.data.stream import GrowingFolder
 from gsfusion_nb.types import Frame
 
@@ -119,20 +118,6 @@ def test_a_frame_comes_only_when_both_images_and_the_pose_are_whole(writer):
     assert writer.waits == 9
     assert not writer.steps
     assert frame.rgb.shape == (48, 64, 3)
-
-
-def test_a_png_cut_anywhere_is_not_whole(recorded, tmp_path):
-    for name in ("depth/000000.png", "rgb/000000.jpg"):
-        data = (recorded / name).read_bytes()
-        path = tmp_path / Path(name).name
-        for n in (0, 4, 100, len(data) // 2, len(data) - 1):
-            path.write_bytes(data[:n])
-            assert not is_complete_image(path)
-        path.write_bytes(data)
-        assert is_complete_image(path)
-        path.write_bytes(data + b"\0" * 8)
-        assert is_complete_image(path)
-    assert not is_complete_image(tmp_path / "nothing.png")
 
 
 def test_poses_that_come_late_are_waited_for(writer):
