@@ -30,11 +30,9 @@ class MapOptions(SettingsOptions):
     format: str = "auto"
     """Layout of the data: auto (recognised by its files) or the name of a file in gsfusion_nb/data/readers, such as tum
     or replica."""
-    split: str = ""
-    """Published split of the data to map (ScanNet++: train or test). Default: the one that the reader chooses."""
     reader: tuple[str, ...] = ()
-    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
-    TUM), n_frames=480 (room)."""
+    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), split=train
+    (ScanNet++), poses=false (folder, TUM), n_frames=480 (room)."""
     from_gaussians: str = ""
     """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the recording's poses; they
     are optimised with the new ones. GSFusion only."""
@@ -86,8 +84,6 @@ def run(arguments: list[str]) -> int:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
         reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
         reader |= named_values(options.reader)
-        if options.split:
-            reader["split"] = options.split
         watch = rerun_file(options.rerun) if options.rerun else None
         finished = run_mapping(
             options.data,

@@ -112,7 +112,7 @@ class RunSpec:
     data: str = ""
     """Folder of the sequence, or "room"; ``scene`` if empty."""
     reader: Mapping[str, Option] = field(default_factory=dict)
-    """Options for opening the data: format, split, and those of the layout's reader, such as ``n_frames``."""
+    """Options for opening the data: format, and those of the layout's reader, such as ``n_frames``."""
     seed: int = 0
     """Seed of all random numbers."""
     budget: Budget = field(default_factory=Budget)

@@ -28,15 +28,6 @@ _CONSTANT = "$constant"
 _NAME = re.compile(r"\d{6}\.(state|constants)")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Saved:
-    """Result of saving a checkpoint."""
-
-    written_bytes: int
-    total_bytes: int
-    """Size of the whole checkpoint, in this and earlier files."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Loaded:
     """A checkpoint that was read."""
@@ -59,7 +50,7 @@ class CheckpointStore:
         self._before: set[str] = set()
         """Files of the last checkpoint."""
 
-    def save(self, state: dict[str, Any], *, constant: Iterable[Tensor] = ()) -> Saved:
+    def save(self, state: dict[str, Any], *, constant: Iterable[Tensor] = ()) -> None:
         """Write a checkpoint: nested dictionaries, lists and tuples of tensors, numbers, strings and None.
 
         Args:
@@ -94,9 +85,6 @@ class CheckpointStore:
         wanted = {*document["files"], f"{number:06d}.json"}
         self._remove_all_but(wanted | self._before)
         self._number, self._constants, self._files, self._before = number, used, files, wanted
-        sizes = {name: (self.folder / name).stat().st_size for name in document["files"]}
-        written = sum(size for name, size in sizes.items() if name.startswith(f"{number:06d}"))
-        return Saved(written_bytes=written, total_bytes=sum(sizes.values()))
 
     def load(self) -> Loaded:
         """The latest checkpoint that is not damaged, on the CPU.

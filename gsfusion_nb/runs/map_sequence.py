@@ -65,7 +65,7 @@ def run_mapping(
         from_gaussians: File of Gaussians (``read_gaussian_ply``) that the map begins with, in the frame of the poses.
         watch: Sees every mapped frame and the finished maps, such as ``viz.rerun_file.RerunFile``.
         loss, optimiser: Instead of the system's own loss and Adam (``Mapper``); metrics.json and config.json name them.
-        reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
+        reader_options: For ``open_sequence``: ``format``, options of the reader.
 
     Returns:
         The run with its folder and numbers. After Ctrl-C everything mapped so far is in the folder, and

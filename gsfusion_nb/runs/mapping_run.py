@@ -13,7 +13,7 @@ from torch import Tensor
 from ..checks import check_number, check_saved, check_whole, shown
 from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
 from ..data.stream import read_ahead
-from ..export import CheckpointStore, Saved
+from ..export import CheckpointStore
 from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..types import Frame, Mesh
 from .run_folder import CHECKPOINTS, StepLog, packed, random_state
@@ -211,7 +211,7 @@ class MappingRun:
             start = time.perf_counter()
         self.is_optimised = True
 
-    def save_checkpoint(self, folder: Path) -> Saved:
+    def save_checkpoint(self, folder: Path) -> None:
         """Write a checkpoint to ``folder``, from which the run can be resumed; only what has changed is written."""
         document = {
             "system": self.system,
@@ -221,7 +221,7 @@ class MappingRun:
             "random": random_state(),
         }
         store = self._stores.setdefault(folder, CheckpointStore(folder / CHECKPOINTS))
-        return store.save(document, constant=self.constant_tensors())
+        store.save(document, constant=self.constant_tensors())
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors of the state that never change."""

@@ -45,7 +45,8 @@ def test_what_is_saved_comes_back(tmp_path):
 
 def test_a_view_is_saved_without_the_rest_of_its_buffer(tmp_path):
     buffer = torch.zeros(1_000_000, requires_grad=True)
-    assert CheckpointStore(tmp_path).save({"rows": buffer[:10], "many": buffer[:5000]}).total_bytes < 30_000
+    CheckpointStore(tmp_path).save({"rows": buffer[:10], "many": buffer[:5000]})
+    assert (tmp_path / "000001.state").stat().st_size < 30_000
     back = CheckpointStore(tmp_path).load().state
     assert back["rows"].shape == (10,)
     assert not back["rows"].requires_grad
@@ -53,13 +54,12 @@ def test_a_view_is_saved_without_the_rest_of_its_buffer(tmp_path):
 
 def test_what_is_constant_is_written_once(tmp_path):
     store, image, rows = CheckpointStore(tmp_path), torch.rand(300, 300), torch.rand(300, 300)
-    first = store.save({"image": image, "rows": [rows, image]}, constant=[image])
+    store.save({"image": image, "rows": [rows, image]}, constant=[image])
     before = image.clone()
     image += 1
     rows += 1
-    second = store.save({"image": image, "rows": rows}, constant=[image])
-    assert second.written_bytes < 0.6 * first.written_bytes < 0.6 * first.total_bytes + 1
-    assert second.total_bytes > second.written_bytes + image.nbytes
+    store.save({"image": image, "rows": rows}, constant=[image])
+    assert (tmp_path / "000002.state").stat().st_size < 1.1 * rows.nbytes
     back = CheckpointStore(tmp_path).load().state
     assert torch.equal(back["image"], before)
     assert torch.equal(back["rows"], rows)

@@ -139,4 +139,4 @@ def _camera(values: dict[str, Any], path: Path) -> Camera:
     return camera(values, ("w", "h", "fl_x", "fl_y", "cx", "cy"), path, shift=0.0)
 
 
-LAYOUT = Layout(read=scannetpp, looks_for=LOOKS_FOR, locate=scene_folder, has_splits=True)
+LAYOUT = Layout(read=scannetpp, looks_for=LOOKS_FOR, locate=scene_folder)

@@ -126,7 +126,5 @@ class Layout:
     """Files and folders by which the layout is recognised, patterns allowed; a folder ends in "/"."""
     locate: Callable[[Path], Path] = lambda path: path
     """The given folder, or the one inside it that holds these files."""
-    has_splits: bool = False
-    """``read`` takes ``split``, the lists of training and test frames that the data set publishes."""
     registration: Mapping[str, Any] = field(default_factory=dict)
     """Options that register colour to depth, where the layout's files are not registered."""

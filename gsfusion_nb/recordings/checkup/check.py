@@ -57,7 +57,7 @@ def check_recording(
             are examined too.
         frames: Approximate number of frames to read; a longer recording is read in windows of 31 consecutive frames.
         pictures: Also make the pictures of the page.
-        reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
+        reader_options: For ``open_sequence``: ``format``, options of the reader.
 
     Raises:
         SequenceError: the recording cannot be opened; the message says why.
