@@ -195,7 +195,7 @@ def test_the_size_of_an_image_is_known_from_its_header(suffix):
 
 def test_an_image_that_claims_a_billion_pixels_is_not_decoded():
     header = struct.pack(">IIBBBBB", 30000, 30000, 8, 2, 0, 0, 0)
-    data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header
+    data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header + b"IEND\xaeB`\x82"
     with pytest.raises(BadFrameError, match=r"a\.png cannot be decoded"):
         decode_rgb(data, "a.png")
 

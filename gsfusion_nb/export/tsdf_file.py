@@ -55,8 +55,7 @@ def read_tsdf(path: str | Path, config: TsdfConfig, device: torch.device | str =
         FileNotFoundError: no such file. ValueError: another file, a damaged one, or voxels of another size.
     """
     path = Path(path)
-    open_regular(path, WHAT).close()
-    with parsing(path, WHAT), np.load(path, allow_pickle=False) as archive:
+    with open_regular(path, WHAT) as file, parsing(path, WHAT), np.load(file, allow_pickle=False) as archive:
         for name, wanted in (("voxel_size_m", config.voxel_size_m), ("truncation_m", config.truncation_m)):
             if not math.isclose(float(archive[name]), wanted, rel_tol=1e-9):
                 raise SequenceError(
