@@ -39,7 +39,7 @@ class CourseOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Write the solved chapters as assignments for nbgrader or Otter-Grader: points, solution cells, hidden tests."""
+    """Write the solved chapters as assignments for nbgrader or Otter-Grader: points, solution cells, tests."""
 
     to: Literal["nbgrader", "otter"]
     """nbgrader: a course folder, for nbgrader generate_assignment. otter: notebooks for otter assign."""
@@ -51,14 +51,12 @@ class ExportOptions:
     """Folder of the solved chapters."""
     points: Path | None = None
     """TOML file with points: [difficulty] 1 = 2.0, or [exercise] psnr = 4."""
-    seed: int = -1
-    """Of the hidden inputs. Default: a new one."""
 
 
 def export(arguments: list[str]) -> int:
     """The command ``gsfusion-nb course export``."""
     from ..course.grading.export import export_course
-    from ..course.grading.marks import Points, new_seed, read_points
+    from ..course.grading.marks import Points, read_points
 
     options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
     found = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
@@ -67,8 +65,7 @@ def export(arguments: list[str]) -> int:
     if missing or not chosen:
         raise ValueError(f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}")
     points = read_points(options.points) if options.points else Points()
-    seed = options.seed if options.seed >= 0 else new_seed()
-    for path in export_course(chosen, options.out, options.to, points=points, seed=seed):
+    for path in export_course(chosen, options.out, options.to, points=points):
         print(f"wrote {path}")
     return 0
 

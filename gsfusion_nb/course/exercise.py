@@ -123,9 +123,10 @@ class NotYet:
         )
 
 
-def source_of(exercise: str, function: Callable[..., Any]) -> str:
-    """Source of a solution under the exercise's name, after the private functions of its module that it calls."""
-    sources = [inspect.getsource(each) for each in [*_called_by(function, {function}), function]]
+def source_of(exercise: str, function: Callable[..., Any], without: Callable[..., Any] | None = None) -> str:
+    """Source of a function under the exercise's name, after the private functions of its module that it calls, but not
+    ``without``."""
+    sources = [inspect.getsource(each) for each in [*_called_by(function, {function, without}), function]]
     renamed = re.sub(rf"\b{re.escape(function.__name__)}\b", exercise, sources[-1])
     return "\n\n".join([*sources[:-1], renamed]).strip()
 
