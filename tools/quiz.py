@@ -1,12 +1,11 @@
-"""A bank of multiple-choice questions, one for every wrong answer that a checker is tested with.
+"""A bank of multiple-choice questions, one for each wrong answer of which a checker also finds something true.
 
 Each question shows a function and four statements, of which the checker finds one broken: the first property that
-fails. The other three were tested on the same function by the same checker, and hold, or hold for every wrong answer. A
-property can hold on all inputs of the checker and yet not be true of the function; those that a reader found are left
-out (``NOT_OFFERED``).
+fails. The other three were tested on the same function by the same checker, and hold. A property can hold on all inputs
+of the checker and yet not be true of the function; those that a reader found are left out (``NOT_OFFERED``).
 
-``python tools/quiz.py OUT`` writes for every chapter ``chapter_NN.md`` to read and ``chapter_NN.xml``, which
-Moodle and other learning platforms import, and ``answers.md``.
+``python tools/quiz.py OUT`` writes for every chapter ``chapter_NN.md`` to read and ``chapter_NN.xml``, which Moodle and
+other learning platforms import, and ``answers.md``.
 """
 
 import argparse
@@ -118,13 +117,7 @@ NOT_OFFERED: dict[str, tuple[str, ...]] = {
 """Properties that hold on the inputs of the checker and are not true of the function, or so near the right option that
 both could be meant."""
 
-_ALWAYS = (
-    "it runs without an error on the checker's inputs",
-    "it does not change its inputs",
-    "it can be called with the arguments that the exercise names",
-)
-"""True of every wrong answer that is not refused for just this."""
-_REFUSED_FOR = {"it runs": _ALWAYS[0], "it does not change its inputs": _ALWAYS[1]}
+_ALWAYS = "it can be called with the arguments that the exercise names"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,11 +139,12 @@ class Question:
 
 def bank() -> list[Question]:
     """All questions, by chapter."""
-    return [question(e, number) for e in exercises().values() for number in range(1, len(e.wrong) + 1)]
+    made = (question(e, number) for e in exercises().values() for number in range(1, len(e.wrong) + 1))
+    return [q for q in made if q is not None]
 
 
-def question(exercise: Exercise, number: int) -> Question:
-    """The question about wrong answer ``number`` of an exercise."""
+def question(exercise: Exercise, number: int) -> Question | None:
+    """The question about wrong answer ``number`` of an exercise; ``None`` if fewer than two others are left."""
     function = exercise.wrong[number - 1].function
     name = f"{exercise.name}-{number}"
     judged = judge_thoroughly(exercise, function)
@@ -158,8 +152,9 @@ def question(exercise: Exercise, number: int) -> Question:
     broken = {e.prop for e in judged.broken}
     held = [prop for prop in dict.fromkeys(judged.held) if prop not in {*broken, *NOT_OFFERED.get(name, ())}]
     random.Random(name).shuffle(held)
-    always = [statement for statement in _ALWAYS if statement not in {_REFUSED_FOR.get(prop) for prop in broken}]
-    options = [first.prop, *[*held, *always][:3]]
+    if len(held) < 2:
+        return None
+    options = [first.prop, *[*held, _ALWAYS][:3]]
     random.Random(name).shuffle(options)
     return Question(
         name=name, chapter=exercise.chapter, title=exercise.title, code=snippet(exercise, function),

@@ -124,6 +124,9 @@ def api_page(room: str, package: Path) -> str:
     parts = [f"# {name}", "", inspect.cleandoc(module.__doc__ or "").partition("\n\n")[0]]
     for entry in sorted({n for n in names if not n.startswith("_")}, key=lambda n: (n.islower(), n.lower())):
         thing = getattr(module, entry)
+        home = (thing.__name__ if inspect.ismodule(thing) else getattr(thing, "__module__", name)).split(".")[1:2]
+        if home != [room] and home and home[0] in ROOMS:
+            continue  # passed on from another room
         if inspect.ismodule(thing):
             parts += [_directive("automodule", thing.__name__, ("members",))]
         elif inspect.isclass(thing):
