@@ -46,8 +46,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
                                    or .ply file, or a folder with all of them
   gsfusion-nb lab TABLE            compare seeding rules: rules x scenes x seeds x
                                    budgets, from a file (--new FILE writes one)
-  gsfusion-nb sweep DATA --grid X  compare values of settings, or repeat a table
-                                   of the papers
+  gsfusion-nb sweep DATA --grid X  compare values of settings
   gsfusion-nb study NAME DATA      run one of the papers' comparisons
   gsfusion-nb bench [GROUP]        measure the speed of operations and mapping
   gsfusion-nb course DIR           copy the notebooks of the course to a folder

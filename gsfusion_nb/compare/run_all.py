@@ -13,7 +13,7 @@ from ..files import cache_folder, read_object, write_file
 from ..seeding import SeedingRule, is_built_in, registered
 from .executors import Answer, Executor, InProcess, Task
 from .map_scene import Entry
-from .spec import RunResult, RunSpec, data_seen_once, run_key
+from .spec import RunResult, RunSpec, look_again, run_key
 from .tune import is_tuned, tuning_spec
 
 log = logging.getLogger(__name__)
@@ -91,7 +91,7 @@ def tuning_key(spec: RunSpec) -> str:
 
 
 def run_all(
-    entries: Sequence[Entry], store: ResultStore, executor: Executor | None = None, *, pictures: bool = True
+    entries: Sequence[Entry], store: ResultStore, executor: Executor | None = None
 ) -> Generator[tuple[int, RunResult], None, None]:
     """Run all ``entries``; yields position and result of each when it is there, each result written to ``store``.
 
@@ -102,21 +102,20 @@ def run_all(
         entries: The runs.
         store: Where results are kept.
         executor: Where the runs are done; in this process by default.
-        pictures: Make pictures of some held-out views.
     """
+    look_again()
     entries = [dataclasses.replace(entry, spec=dataclasses.replace(entry.spec)) for entry in entries]
-    positions: dict[str, list[int]] = {}
+    same: dict[str, list[int]] = {}
     known: dict[int, RunResult] = {}
-    plan = _Plan(entries, store, executor or InProcess(), pictures)
-    with data_seen_once():
-        for i, entry in enumerate(entries):
-            found = store.find(entry.spec)
-            if found is not None:
-                known[i] = found
-            else:
-                positions.setdefault(entry.spec.key, []).append(i)
-        left = {same[0]: same for same in positions.values()}
-        plan.begin(list(left))
+    for i, entry in enumerate(entries):
+        found = store.find(entry.spec)
+        if found is not None:
+            known[i] = found
+        else:
+            same.setdefault(entry.spec.key, []).append(i)
+    left = {positions[0]: positions for positions in same.values()}
+    plan = _Plan(entries, store, executor or InProcess())
+    plan.begin(list(left))
     yield from known.items()
     while left:
         for i, result in plan.next():
@@ -127,30 +126,32 @@ def run_all(
 class _Plan:
     """Tuning first; then the runs that waited for it."""
 
-    def __init__(self, entries: Sequence[Entry], store: ResultStore, executor: Executor, pictures: bool):
-        self._entries, self._store, self._executor, self._pictures = entries, store, executor, pictures
-        self._waiting: dict[str, list[int]] = {}
-        self._tuning: dict[int, str] = {}
+    def __init__(self, entries: Sequence[Entry], store: ResultStore, executor: Executor):
+        self._entries, self._store, self._executor = entries, store, executor
+        self._waiting: dict[int, list[int]] = {}
+        """Number of a tuning -> the runs that wait for it."""
 
     def begin(self, runs: list[int]) -> None:
         """Put the runs, by position, or the tunings that they need."""
+        waiting: dict[str, list[int]] = {}
         for i in runs:
             spec = self._entries[i].spec
             tuned = self._store.find_tuned(spec) if is_tuned(spec) else None
             if is_tuned(spec) and tuned is None:
-                self._waiting.setdefault(tuning_key(spec), []).append(i)
+                waiting.setdefault(tuning_key(spec), []).append(i)
             else:
                 self._put("run", i, i, tuned)
-        for n, (key, waiting) in enumerate(self._waiting.items()):
-            self._tuning[-1 - n] = key
-            self._put("tune", -1 - n, waiting[0], None)
+        for positions in waiting.values():
+            number = len(self._entries) + positions[0]
+            self._waiting[number] = positions
+            self._put("tune", number, positions[0], None)
 
     def next(self) -> list[tuple[int, RunResult]]:
         """Wait for one answer. Returns the runs that ended with it."""
         number, answer = self._executor.get()
-        if number not in self._tuning:
+        if number not in self._waiting:
             return [(number, self._result(number, answer))]
-        waiting = self._waiting[self._tuning[number]]
+        waiting = self._waiting[number]
         if answer.tuned is None:
             return [(i, self._result(i, answer)) for i in waiting]
         self._store.keep_tuned(self._entries[waiting[0]].spec, answer.tuned)
@@ -163,7 +164,7 @@ class _Plan:
         self._executor.put(
             number,
             Task(kind=kind, spec=entry.spec, backend=chosen(), rule=_own_rule(entry), sequence=entry.sequence,
-                 tuned=tuned, with_pictures=self._pictures, program=run_key()),
+                 tuned=tuned, program=run_key()),
         )  # fmt: skip
 
     def _result(self, i: int, answer: Answer) -> RunResult:

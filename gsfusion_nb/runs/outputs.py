@@ -224,7 +224,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         **run.mapper.training.names,
         "n_triangles": len(mesh.faces),
         **frame_rates(seconds),
-        **_tracking_rates(run),
+        **tracking_rates(run),
         **run.extra_metrics(),
         "seconds_online": sum(seconds),
         "seconds_global": run.seconds_global,
@@ -232,7 +232,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     }
 
 
-def _tracking_rates(run: MappingRun) -> dict[str, float]:
+def tracking_rates(run: MappingRun) -> dict[str, float]:
     """Frames per second of tracking alone and of mapping alone; empty if poses were not tracked."""
     tracking = sum(s.seconds.get("tracking", 0.0) for s in run.steps)
     if not run.mapper.localiser.is_tracking or not tracking:

@@ -75,7 +75,7 @@ def test_retrained_weights_give_another_key_and_another_map(learned, entry, tmp_
     store, hashes = ResultStore(tmp_path / "out", tmp_path / "cache"), []
     for bias in (0.0, -0.2):
         write_weights(weights, bias)
-        ((_, result),) = run_all([entry(f"{file}:learned")], store, pictures=False)
+        ((_, result),) = run_all([entry(f"{file}:learned")], store)
         assert result.reason == ""
         hashes.append((result.key, result.map_hash))
     assert hashes[0][0] != hashes[1][0] == entry(f"{file}:learned").spec.key
