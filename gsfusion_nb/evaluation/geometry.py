@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..checks import check_finite, check_positive, check_shape
 from ..geometry import project, quaternion, se3
-from ..types import Frame, GaussianParams, Mesh
+from ..types import Camera, Frame, GaussianParams, Mesh
 from .image import psnr
 from .metrics import NotComputed
 
@@ -211,25 +211,25 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame]) -> float | NotComputed:
     """
     scores = []
     for frame in frames:
-        shown, pixels = _pairs(mesh, frame.to(mesh.vertices_W.device))
-        if len(shown):
-            scores.append(psnr(shown[None], pixels[None]))
+        frame = frame.to(mesh.vertices_W.device)
+        xyz_C = se3.apply(se3.inverse(frame.T_WC.to(mesh.vertices_W)), mesh.vertices_W)
+        rows, at = _in_view(xyz_C, frame.camera)
+        depth_m = frame.depth_m[at]
+        near = (depth_m > 0) & ((depth_m - xyz_C[rows, 2]).abs() < NEAR_M)
+        if bool(near.any()):
+            scores.append(psnr(mesh.rgb[rows[near]][None], frame.rgb[at][near][None]))
     if not scores:
         return NotComputed("no view shows a vertex of the mesh")
     return math.fsum(scores) / len(scores)
 
 
-def _pairs(mesh: Mesh, frame: Frame) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
-    """Colours of the vertices that the frame shows, and of their pixels."""
-    xyz_C = se3.apply(se3.inverse(frame.T_WC.to(mesh.vertices_W)), mesh.vertices_W)
+def _in_view(xyz_C: Float[Tensor, "N 3"], camera: Camera) -> tuple[Int[Tensor, " M"], tuple[Tensor, Tensor]]:
+    """Which points of a camera's frame are inside its image, and row and column of their pixels."""
     rows = (xyz_C[:, 2] > 1e-6).nonzero()[:, 0]
-    uv = project(frame.camera, xyz_C[rows])
-    size = torch.tensor([frame.camera.width, frame.camera.height], device=uv.device)
-    inside = ((uv >= 0) & (uv < size)).all(dim=1)
-    rows, (column, row) = rows[inside], uv[inside].long().unbind(1)
-    depth_m = frame.depth_m[row, column]
-    seen = (depth_m > 0) & ((depth_m - xyz_C[rows, 2]).abs() < NEAR_M)
-    return mesh.rgb[rows[seen]], frame.rgb[row[seen], column[seen]]
+    uv = project(camera, xyz_C[rows])
+    inside = ((uv >= 0) & (uv < torch.tensor([camera.width, camera.height], device=uv.device))).all(dim=1)
+    column, row = uv[inside].long().unbind(1)
+    return rows[inside], (row, column)
 
 
 def seen_by(xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame]) -> Bool[Tensor, " N"]:
@@ -249,14 +249,9 @@ def seen_by(xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame]) -> Bool[Tensor
         if len(left) == 0:
             break
         xyz_C = se3.apply(se3.inverse(frame.T_WC.to(xyz_W)), xyz_W[left])
-        z = xyz_C[:, 2]
-        uv = project(frame.camera, torch.where(z[:, None] > 1e-6, xyz_C, torch.ones_like(xyz_C)))
-        inside = (z > 1e-6) & (uv >= 0).all(1)
-        inside &= (uv[:, 0] < frame.camera.width) & (uv[:, 1] < frame.camera.height)
-        left, z = left[inside], z[inside]
-        column, row = uv[inside].long().unbind(1)
-        measured = frame.depth_m.to(xyz_W)[row, column]
-        seen[left[(measured > 0) & (z <= measured + BEHIND_M)]] = True
+        rows, at = _in_view(xyz_C, frame.camera)
+        measured = frame.depth_m.to(xyz_W)[at]
+        seen[left[rows[(measured > 0) & (xyz_C[rows, 2] <= measured + BEHIND_M)]]] = True
     return seen
 
 

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb import files as hashes
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import apply_options, data_files, open_sequence, sequence_fingerprint
 from gsfusion_nb.data.room import room
-from gsfusion_nb.files import file_hashes, noting_files
+from gsfusion_nb.files import noting_files
 
 READERS = Path(__file__).parent / "readers"
 
@@ -59,25 +58,6 @@ def test_what_is_not_read_does_not_matter(wall):
     assert fingerprint_of(wall) == before
     shutil.copytree(wall, wall.parent / "moved")
     assert fingerprint_of(wall.parent / "moved") == before
-
-
-def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
-    hashed, plain = [], hashes._hash
-    monkeypatch.setattr(hashes, "_hash", lambda path: hashed.append(path) or plain(path))
-    file, link = wall / "rgb/000000.png", wall / "link.png"
-    link.symlink_to(file)
-    first = file_hashes([file, link])
-    assert len(set(first.values())) == 1
-    assert len(hashed) == 2
-    file_hashes([file])
-    assert len(hashed) == 3  # changed less than two seconds ago: a second change might have the same time
-    monkeypatch.setattr(hashes, "_SETTLED_NS", -(10**18))
-    assert file_hashes([file]) == file_hashes([file]) == {str(file): first[str(file)]}
-    assert len(hashed) == 4
-    flip(file, 50)
-    assert file_hashes([file, wall / "none"]).values() != first.values()
-    assert len(hashed) == 5
-    assert file_hashes([wall / "none", wall]) == dict.fromkeys([str(wall / "none"), str(wall)], hashes.UNREADABLE)
 
 
 @pytest.mark.parametrize("layout", ["folder", "replica", "scannetpp", "seven_scenes"])

@@ -58,12 +58,6 @@ def test_psnr_quantises_to_bytes_with_halves_up():
     assert psnr(just_above, black) == pytest.approx(20 * math.log10(255), abs=1e-4)
 
 
-def test_psnr_clamps_to_the_data_range_and_leaves_inputs_alone():
-    white, over = torch.ones(3, 3, 3), torch.full((3, 3, 3), 7.0)
-    assert psnr(over, white) == math.inf
-    assert over.max() == 7.0
-
-
 def test_ssim_of_equal_images_is_one_and_falls_with_noise(generator):
     a = picture(generator)
     noise = torch.randn(a.shape, generator=generator)

@@ -36,8 +36,8 @@ from ..recorded.times import TIMES, times_of_images
 from ..sequence import SequenceError
 
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
-CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
-_REQUIRED = (*CAMERA_KEYS, "depth_scale")
+_CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
+_REQUIRED = (*_CAMERA_KEYS, "depth_scale")
 _OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "first_image", "pose_convention")
 
 
@@ -64,9 +64,9 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     poses_file = root / "poses.txt"
     T_WC = poses_of_images(poses_file, rgb_files, values.get("first_image")) if poses else no_poses(len(rgb_files))
     times, no_times = times_of_images(root / TIMES, rgb_files)
-    return RecordedSequence(
-        name=given_name(root),
-        camera=camera(values, CAMERA_KEYS, root / "intrinsics.json", shift=0.5 - values.get("pixel_centre", 0.0)),
+    return recording_of(
+        root,
+        values,
         rgb_files=rgb_files,
         depth_files=depth_files,
         timestamps_s=times or [i / values.get("fps", 30.0) for i in range(len(rgb_files))],
@@ -74,8 +74,18 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
         poses=T_WC,
         pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],
         has_poses=poses,
+    )
+
+
+def recording_of(root: Path, values: dict[str, Any], **frames: Any) -> RecordedSequence:
+    """A recording with the camera and the depth scale of ``values``, the content of ``intrinsics.json``."""
+    shift = 0.5 - values.get("pixel_centre", 0.0)
+    return RecordedSequence(
+        name=given_name(root),
+        camera=camera(values, _CAMERA_KEYS, root / "intrinsics.json", shift=shift),
         depth_scale=float(values["depth_scale"]),
         depth_invalid=(int(values.get("depth_invalid", 0)),),
+        **frames,
     )
 
 

@@ -130,16 +130,6 @@ def _rounded_edges(box: Box, charts: ndarray) -> list[CurvedPatch]:
 _NEAR_M = 0.02
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Hits:
-    """The first patch that each ray of an image meets."""
-
-    w: ndarray
-    """Inverse z-depth, 1/metres; 0 if there is none. [H, W] float32"""
-    patch: ndarray
-    """Patch number, flat ones first; -1 if there is none. [H, W] int32"""
-
-
 class RoomView:
     """The patches in the frame of one camera: linear forms in (x, y, 1)."""
 
@@ -189,13 +179,14 @@ class RoomView:
         return np.clip(low_high, 0, size).astype(np.int64)
 
 
-def cast(view: RoomView) -> Hits:
-    """Nearest patch and inverse depth at every pixel centre."""
+def cast(view: RoomView) -> tuple[ndarray, ndarray]:
+    """Inverse z-depth of the first patch that each pixel centre's ray meets (1/metres, 0 if there is none, [H, W]
+    float32), and its number (flat ones first, -1 if there is none, [H, W] int32)."""
     w = np.zeros((view.camera.height, view.camera.width), np.float32)
     patch = np.full(w.shape, -1, np.int32)
     _cast_flat(view, w, patch)
     _cast_curved(view, w, patch)
-    return Hits(w=w, patch=patch)
+    return w, patch
 
 
 def _cast_flat(view: RoomView, w: ndarray, patch: ndarray) -> None:

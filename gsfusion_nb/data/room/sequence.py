@@ -206,9 +206,9 @@ def render_room(
     check_pose("T_WC", T_WC)
     scene = load_scene(seed, cache)
     view = raycast.RoomView(scene.flat, scene.curved, camera, T_WC.detach().cpu().double().numpy())
-    hits = raycast.cast(view)
-    rgb = shade.colour(scene, view, hits)
-    depth_m = np.divide(1.0, hits.w, out=np.zeros_like(hits.w), where=hits.patch >= 0)
+    w, patch = raycast.cast(view)
+    rgb = shade.colour(scene, view, w, patch)
+    depth_m = np.divide(1.0, w, out=np.zeros_like(w), where=patch >= 0)
     return torch.from_numpy(rgb), torch.from_numpy(depth_m)
 
 

@@ -7,7 +7,7 @@ neighbouring pixels belong to different patches, the four points are intersected
 import numpy as np
 from numpy import ndarray
 
-from .raycast import Hits, RoomView
+from .raycast import RoomView
 from .scene import LEVELS, Scene, level_offsets
 
 _POINTS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]], np.float32)
@@ -17,22 +17,22 @@ _DITHER = np.array([0.125, 0.625, 0.875, 0.375], np.float32)
 """Added to the mip level before rounding down: over the four points this blends neighbouring levels."""
 
 
-def colour(scene: Scene, view: RoomView, hits: Hits) -> ndarray:
-    """sRGB image, 0..1. [H, W, 3] float32"""
-    H, W = hits.patch.shape
+def colour(scene: Scene, view: RoomView, inverse_depth: ndarray, patches: ndarray) -> ndarray:
+    """sRGB image, 0..1, of what ``cast`` found. [H, W, 3] float32"""
+    H, W = patches.shape
     lookup = _TextureLookup(scene, view)
     offsets = _POINTS / np.array([view.camera.fx, view.camera.fy], np.float32)
-    patch = hits.patch.ravel()
+    patch = patches.ravel()
     x = np.tile(view.x.astype(np.float32), H)
     y = np.repeat(view.y.astype(np.float32), W)
-    w = hits.w.ravel()
+    w = inverse_depth.ravel()
     U, V, level = lookup.sample(patch, x, y, w, offsets)
     total = np.zeros((H * W, 3), np.uint16)
     for k in range(4):
         total += lookup.fetch(U[k], V[k], level + _DITHER[k])
-    edges = _edge_pixels(hits.patch)
+    edges = _edge_pixels(patches)
     if edges.size:
-        total[edges] = _edge_colour(lookup, view, hits, edges, offsets)
+        total[edges] = _edge_colour(lookup, inverse_depth, patches, edges, offsets)
     total[patch < 0] = 0
     return (total.astype(np.float32) * np.float32(1 / 1020)).reshape(H, W, 3)
 
@@ -144,13 +144,15 @@ def _edge_pixels(patch: ndarray) -> ndarray:
     return np.flatnonzero(edge)
 
 
-def _edge_colour(lookup: _TextureLookup, view: RoomView, hits: Hits, edges: ndarray, offsets: ndarray) -> ndarray:
+def _edge_colour(
+    lookup: _TextureLookup, inverse_depth: ndarray, patches: ndarray, edges: ndarray, offsets: ndarray
+) -> ndarray:
     """Sum of the four points' colours on edge pixels. [E, 3] uint16"""
-    H, W = hits.patch.shape
+    view, (H, W) = lookup.view, patches.shape
     row, col = np.divmod(edges, W)
-    centre = hits.patch[row, col]
+    centre = patches[row, col]
     shifts = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
-    near = np.stack([hits.patch[np.clip(row + i, 0, H - 1), np.clip(col + j, 0, W - 1)] for i, j in shifts], 1)
+    near = np.stack([patches[np.clip(row + i, 0, H - 1), np.clip(col + j, 0, W - 1)] for i, j in shifts], 1)
     near.sort(axis=1)
     fresh = np.concatenate([np.ones((len(edges), 1), bool), near[:, 1:] != near[:, :-1]], 1)
     pixel, slot = np.nonzero(fresh)
@@ -164,7 +166,7 @@ def _edge_colour(lookup: _TextureLookup, view: RoomView, hits: Hits, edges: ndar
     patch = np.take_along_axis(near, best, 1)
     missed = w_best <= 0  # thinner than the sample distance: keep the centre's patch
     patch = np.where(missed, centre[:, None], patch)
-    w_best = np.where(missed, hits.w[row, col][:, None], w_best)
+    w_best = np.where(missed, inverse_depth[row, col][:, None], w_best)
     x, y, w_best = (a.astype(np.float32).ravel() for a in (x, y, w_best))
     patch = patch.ravel()
     U, V, level = lookup.sample(patch, x, y, w_best, np.zeros((1, 2), np.float32))

@@ -12,11 +12,10 @@ from torch import Tensor
 from ...checks import shown
 from ...files import read_text
 from ...types import Frame
-from ..readers.folder import CAMERA_KEYS, read_intrinsics
-from ..recorded.files import camera, given_name, natural_order
+from ..readers.folder import read_intrinsics, recording_of
+from ..recorded.files import given_name, natural_order
 from ..recorded.images import is_complete_image
 from ..recorded.poses import image_key, image_number, no_poses, parsed_pose, split_name
-from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from .frame_queue import LiveSource, Policy
 
@@ -185,23 +184,20 @@ class GrowingFolder(LiveSource):
         return number - (first or 0)
 
     def _take(self, image: Path, line: str) -> Frame:
-        file = self.root / "intrinsics.json"
         by_number = self.has_poses and not self._line_of_name
         at = self._number(image) if by_number else len(self._done)
         depth = self._depth[image.stem]
         self._leave(image)
         source = f"{self._poses_file} pose {at if by_number else f'of {image.stem}'}"
-        one = RecordedSequence(
-            name=self.name,
-            camera=camera(self._values, CAMERA_KEYS, file, shift=0.5 - self._values.get("pixel_centre", 0.0)),
+        one = recording_of(
+            self.root,
+            self._values,
             rgb_files=[image],
             depth_files=[depth],
             timestamps_s=[at / self._values.get("fps", 30.0)],
             poses=_pose(line, source) if self.has_poses else no_poses(1),
             pose_sources=[source],
             has_poses=self.has_poses,
-            depth_scale=float(self._values["depth_scale"]),
-            depth_invalid=(int(self._values.get("depth_invalid", 0)),),
         )
         return one[0]
 

@@ -93,17 +93,6 @@ def test_own_times_are_kept(tmp_path, box, caplog):
     expect(SequenceError, r"times.txt line 1 must be 'name seconds'", lambda: folder(root))
 
 
-def test_grey_and_rgba_colour_images(tmp_path, box):
-    root = box.folder(tmp_path)
-    (root / "rgb/000000.jpg").unlink()
-    (root / "rgb/000001.jpg").unlink()
-    cv2.imwrite(str(root / "rgb/000000.png"), np.full((48, 64), 51, np.uint8))
-    cv2.imwrite(str(root / "rgb/000001.png"), np.full((48, 64, 4), (0, 51, 255, 7), np.uint8))  # BGRA
-    seq = folder(root)
-    assert torch.allclose(seq[0].rgb, torch.tensor(0.2))
-    assert torch.allclose(seq[1].rgb, torch.tensor([1.0, 0.2, 0.0]))
-
-
 def expect(error, pattern, act):
     """``act`` raises exactly ``error`` with one sentence (no line break) matching ``pattern``."""
     with pytest.raises(error, match=pattern) as caught:

@@ -44,10 +44,6 @@ def test_names_may_confirm_another_order_than_the_list():
     assert judge_stamps(shuffled, names=[f"{i:06d}" for i in range(12)]).times_s is None
 
 
-def test_a_file_of_seconds_may_hold_whole_seconds():
-    assert judge_stamps([0.0, 1.0, 2.0, 3.0], unit="s").times_s == [0, 1, 2, 3]
-
-
 def test_nearest_within_the_limit():
     assert associate([0.0, 1.0, 2.0], [0.01, 1.03, 1.99]) == [(0, 0), (2, 2)]
     assert associate([0.0, 1.0, 2.0], [0.01, 1.03, 1.99], max_difference_s=0.05) == [(0, 0), (1, 1), (2, 2)]

@@ -42,11 +42,6 @@ def counting_frames(counting) -> Iterator[Frame]:
         yield counting[i]
 
 
-def test_unknown_policies_are_named(sequence):
-    with pytest.raises(KeyError, match="no policy 'drop'"):
-        BackgroundFrames(sequence, policy="drop")
-
-
 class Counting:
     """A sequence that remembers which frames were read, on which thread, and how many are alive."""
 
