@@ -255,12 +255,6 @@ def test_vertices_are_compared_with_their_pixels_and_hidden_ones_are_not():
     assert mesh_psnr(mesh_of(*vertices), [frame(), frame(5.0)]) == pytest.approx(float(expected), abs=1e-3)
 
 
-def test_no_number_if_no_view_shows_the_mesh():
-    assert mesh_psnr(mesh_of(at(3, 1, 2.0, [0.5] * 3)), [frame(5.0)]) == NotComputed(
-        "no view shows a vertex of the mesh"
-    )
-
-
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [

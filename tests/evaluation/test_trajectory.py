@@ -61,25 +61,12 @@ def test_alignment_is_the_least_squares_optimum(generator):
         assert cost(T[:3, :3] @ R, t + T[:3, 3]) > cost(R, t)
 
 
-def test_noise_of_known_size_is_measured(generator):
-    path = random_path(generator, 2000)
-    estimate = path.clone()
-    estimate[:, :3, 3] += 0.02 * torch.randn(2000, 3, generator=generator, dtype=torch.float64)
-    assert ate_rmse(estimate, path) == pytest.approx(0.02 * math.sqrt(3), rel=0.05)
-
-
 def test_rpe_by_hand():
     """A drift of 1 cm and 1 degree a frame."""
     reference = torch.eye(4, dtype=torch.float64).repeat(5, 1, 1)
     xi = torch.tensor([0.0, 0.0, 0.01, 0.0, 0.0, math.radians(1)], dtype=torch.float64)
     estimate = torch.stack([se3.exp(i * xi) for i in range(5)])
     assert rpe(estimate, reference) == (pytest.approx(0.01), pytest.approx(1.0))
-
-
-def test_rpe_does_not_see_the_world_frame(generator):
-    path = random_path(generator)
-    T = se3.exp(torch.tensor([1.0, 2.0, 3.0, 0.1, 0.2, 0.3], dtype=torch.float64))
-    assert rpe(T @ path, path) == (pytest.approx(0, abs=1e-12), pytest.approx(0, abs=1e-6))
 
 
 @pytest.mark.parametrize("align", [False, True])
@@ -152,8 +139,3 @@ def test_scores_by_name(generator):
     assert 0 < scores["ate_mean_m"] < scores["ate_rmse_m"]
     assert scores["rpe_translation_m"] == pytest.approx(0.05 / math.sqrt(len(path) - 1))
     assert scores["rpe_rotation_deg"] == pytest.approx(0, abs=1e-5)
-
-
-def test_scores_of_too_short_a_path():
-    with pytest.raises(ValueError, match="at least 3 positions, got 2"):
-        trajectory_scores(torch.eye(4).repeat(2, 1, 1), torch.eye(4).repeat(2, 1, 1))

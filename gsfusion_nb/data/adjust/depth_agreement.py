@@ -30,8 +30,6 @@ class DepthPair:
     """z-depth, metres, 0 = missing."""
     camera: Camera
     """Camera of ``depth_b``."""
-    frames: tuple[int, int] = (0, 1)
-    """Their positions in the sequence."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,17 +46,10 @@ class DepthConsistency:
     """Mean of max(0, 1 - difference / 3 per cent) over all points: 1 for exact agreement everywhere."""
 
 
-def depth_pair(
-    depth_a: Float[Tensor, "H W"],
-    depth_b: Float[Tensor, "H W"],
-    camera: Camera,
-    *,
-    step: int = 4,
-    frames: tuple[int, int] = (0, 1),
-) -> DepthPair:
+def depth_pair(depth_a: Float[Tensor, "H W"], depth_b: Float[Tensor, "H W"], camera: Camera, *, step: int) -> DepthPair:
     """The pair of every ``step``-th pixel of ``depth_a`` in both directions and all of ``depth_b``."""
     points = depth_to_points(camera, depth_a)[step // 2 :: step, step // 2 :: step].reshape(-1, 3)
-    return DepthPair(xyz_a=points[points[:, 2] > 0], depth_b=depth_b, camera=camera, frames=frames)
+    return DepthPair(xyz_a=points[points[:, 2] > 0], depth_b=depth_b, camera=camera)
 
 
 def depth_consistency(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"]) -> DepthConsistency:

@@ -33,15 +33,6 @@ def test_reads_what_was_written(tmp_path, box):
         assert box.off_wall_m(frame) < 0.0005
 
 
-def test_pixel_centre_key(tmp_path, box):
-    edge = folder(box.folder(tmp_path / "a", pixel_centre=0.5, cx=31.3, cy=24.9))
-    integer = folder(box.folder(tmp_path / "b", pixel_centre=0.0))
-    assert vars(edge.camera) == pytest.approx(vars(integer.camera))
-    assert box.off_wall_m(edge[2]) < 0.0005
-    wrong = folder(box.folder(tmp_path / "c", pixel_centre=0.5))
-    assert box.off_wall_m(wrong[2]) > 0.001
-
-
 def test_depth_scale_invalid_value_and_fps(tmp_path, box):
     root = box.folder(tmp_path, depth_invalid=777, fps=10, pose_convention="camera-to-world, made by hand")
     raw = np.full((48, 64), 2000, np.uint16)

@@ -165,11 +165,6 @@ def test_selection_counts_arrivals_and_resizes(sequence):
     assert found[0].rgb.shape == (24, 32, 3)
 
 
-def test_a_bad_frame_counts_as_an_arrival(sequence):
-    frames = frames_of(SelectedFrames(read_ahead(Counting(sequence, bad={1}), depth=0), DataConfig(stop=3)))
-    assert [f if isinstance(f, str) else f.index for f in frames] == [0, "frame 1 is torn", 2]
-
-
 def test_options_that_a_stream_cannot_have_are_refused(sequence):
     with pytest.raises(SequenceError, match=r"data\.stop must be above data\.start 4"):
         SelectedFrames(sequence, DataConfig(start=4, stop=2))
