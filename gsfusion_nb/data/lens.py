@@ -173,18 +173,18 @@ def warp_depth(
     return out.where(out.isfinite(), torch.zeros_like(out)).reshape(target.height, target.width)
 
 
-@dataclass(frozen=True, eq=False)
 class Registration:
-    """Makes a registered pair from a distorted colour image and a depth image of a second camera."""
+    """Makes a registered pair from a distorted colour image and a depth image of a second camera.
 
-    depth_camera: Camera
-    colour: Undistorter
-    T_colour_depth: Float[Tensor, "4 4"]
+    Args:
+        depth_camera: Camera of the depth image.
+        lens: Of the colour image.
+        T_depth_colour: Pose of the colour camera in the depth camera's frame.
+    """
 
-    @staticmethod
-    def of(depth_camera: Camera, lens: CameraModel, T_depth_colour: Float[Tensor, "4 4"]) -> "Registration":
-        """From the pose of the colour camera in the depth camera's frame."""
-        return Registration(depth_camera, Undistorter(lens), se3.inverse(T_depth_colour))
+    def __init__(self, depth_camera: Camera, lens: CameraModel, T_depth_colour: Float[Tensor, "4 4"]):
+        self.depth_camera, self.colour = depth_camera, Undistorter(lens)
+        self.T_colour_depth = se3.inverse(T_depth_colour)
 
     def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Undistorted colour, and depth warped into it."""

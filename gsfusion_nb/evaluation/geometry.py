@@ -6,7 +6,6 @@ would hide a systematic shift. Distances are stored in metres and printed in cen
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -27,33 +26,6 @@ BEHIND_M = 0.05
 """How far behind the measured depth a point still counts as seen, metres."""
 NEAR_M = 0.02
 """A view shows a vertex if its measured depth there differs by less than this, metres."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class GeometryScores:
-    """Distances between a reconstruction and its ground truth."""
-
-    accuracy_m: float
-    """Mean distance from the reconstruction to the truth, metres."""
-    completion_m: float
-    """Mean distance from the truth to the reconstruction, metres."""
-    precision: float
-    """Share of the reconstruction nearer than the threshold to the truth."""
-    completion_ratio: float
-    """Share of the truth nearer than the threshold to the reconstruction (recall)."""
-    threshold_m: float
-    """Threshold of the two shares, metres. Papers use 3 cm or 5 cm."""
-
-    @property
-    def f_score(self) -> float:
-        """Harmonic mean of precision and completion ratio."""
-        total = self.precision + self.completion_ratio
-        return 2 * self.precision * self.completion_ratio / total if total > 0 else 0.0
-
-    def as_metrics(self, prefix: str = "mesh") -> dict[str, float]:
-        """The numbers with the names of the metrics table."""
-        names = ("accuracy_m", "completion_m", "precision", "completion_ratio", "f_score", "threshold_m")
-        return {f"{prefix}_{name}": getattr(self, name) for name in names}
 
 
 def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
@@ -93,7 +65,7 @@ def mesh_scores(
     generator: torch.Generator,
     threshold_m: float = 0.03,
     n_samples: int = 200_000,
-) -> GeometryScores | NotComputed:
+) -> dict[str, float] | NotComputed:
     """Accuracy and completion of ``mesh`` against ``reference``, from even samples of both surfaces.
 
     Args:
@@ -104,7 +76,9 @@ def mesh_scores(
         n_samples: Points drawn on each surface.
 
     Returns:
-        The scores, or the reason why there are none.
+        Mean distance from the reconstruction to the truth (``accuracy_m``) and back (``completion_m``), metres; share
+        of either that is nearer than the threshold to the other (``precision``, ``completion_ratio``), their harmonic
+        mean (``f_score``), and ``threshold_m``; or the reason why there are none.
 
     Differentiable: no. Source: accuracy and completion as in iMAP (Sucar et al. 2021), sampled as NICE-SLAM does.
     """
@@ -143,8 +117,8 @@ def disc_scores(
     generator: torch.Generator,
     threshold_m: float = 0.03,
     n_samples: int = 200_000,
-) -> GeometryScores | NotComputed:
-    """Accuracy and completion of the opaque discs against ``reference``, from samples of both.
+) -> dict[str, float] | NotComputed:
+    """Accuracy and completion of the opaque discs against ``reference``, named as by ``mesh_scores``, from samples.
 
     Args:
         params: The map.
@@ -307,14 +281,16 @@ def _to_nearest(xyz: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Floa
     return torch.from_numpy(KDTree(points.cpu().numpy()).query(xyz.cpu().numpy())[0])
 
 
-def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> GeometryScores:
-    return GeometryScores(
-        accuracy_m=float(to_truth.mean()),
-        completion_m=float(to_ours.mean()),
-        precision=float((to_truth < threshold_m).double().mean()),
-        completion_ratio=float((to_ours < threshold_m).double().mean()),
-        threshold_m=threshold_m,
-    )
+def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> dict[str, float]:
+    precision, recall = (float((distance < threshold_m).double().mean()) for distance in (to_truth, to_ours))
+    return {
+        "accuracy_m": float(to_truth.mean()),
+        "completion_m": float(to_ours.mean()),
+        "precision": precision,
+        "completion_ratio": recall,
+        "f_score": 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0,
+        "threshold_m": threshold_m,
+    }
 
 
 def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor:

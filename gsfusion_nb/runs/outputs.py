@@ -281,12 +281,19 @@ def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_sample
     seen = cull_unseen(truth(), readable_frames(run.mapped_views(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed if seed is None else seed)
     scores = mesh_scores(mesh, seen, generator=generator, n_samples=n_samples)
-    metrics |= {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
+    metrics |= _named("mesh", scores)
     if run.mapper.gaussians_are_discs:
         discs = run.mapper.gaussians.params
         scores = disc_scores(discs, seen, generator=generator, n_samples=n_samples)
-        metrics |= {"disc_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics("disc")
+        metrics |= _named("disc", scores)
     return metrics
+
+
+def _named(what: str, scores: dict[str, float] | NotComputed) -> dict[str, Any]:
+    """Scores of a surface with the names of the metrics table."""
+    if isinstance(scores, NotComputed):
+        return {f"{what}_accuracy_m": scores}
+    return {f"{what}_{name}": value for name, value in scores.items()}
 
 
 def score_centres(run: MappingRun, mesh: Mesh) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequenc
             raise SequenceNotFoundError(f"{root / name} does not exist; expected one for {colour[lacking[0]].name}")
     pose_files = [files["pose"][n] for n in order]
     poses = torch.stack([_read_pose(p) for p in pose_files])
-    registration = Registration.of(DEPTH_CAMERA, COLOUR_LENS, T_DEPTH_COLOUR) if register else None
+    registration = Registration(DEPTH_CAMERA, COLOUR_LENS, T_DEPTH_COLOUR) if register else None
     if registration is None:
         log.warning(
             "%s: colour is not registered to depth in 7-Scenes (10 to 20 pixels off); --reader register=true aligns it",
