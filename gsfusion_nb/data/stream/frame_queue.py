@@ -7,7 +7,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Literal
+from typing import Literal
 
 from ...checks import check_name
 from ...config import DataConfig
@@ -57,7 +57,7 @@ JOIN_S = 5.0
 
 
 class BackgroundFrames:
-    """Frames of any iterable, read on a separate thread (itself an iterator, and a context manager).
+    """Frames of any iterable, read on a separate thread (itself an iterator; ``close`` it).
 
     For a frame that cannot be used its error is raised, and the iteration can continue. Any other exception of the
     source is raised here after the frames that came before it. The thread starts with the first ``next``.
@@ -95,12 +95,6 @@ class BackgroundFrames:
         self._error: BaseException | None = None
         context = contextvars.copy_context()  # a new thread does not take over the chosen backend by itself
         self._thread = threading.Thread(target=context.run, args=(self._work,), name="frames", daemon=True)
-
-    def __enter__(self) -> "BackgroundFrames":
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.close()
 
     def __iter__(self) -> "BackgroundFrames":
         return self
@@ -176,12 +170,6 @@ class FramesInOrder:
 
     def __init__(self, sequence: Sequence, start: int = 0):
         self._sequence, self._next = sequence, start
-
-    def __enter__(self) -> "FramesInOrder":
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.close()
 
     def __iter__(self) -> "FramesInOrder":
         return self

@@ -1,5 +1,6 @@
 import importlib.util
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +87,7 @@ def test_incomplete_frames_and_single_timeouts_are_passed_over(device):
 
 def test_unplugged_in_the_middle_it_ends_and_says_why(device):
     camera = device.plugged([0, 1, "unplug"]).camera()
-    with BackgroundFrames(camera) as frames:
+    with closing(BackgroundFrames(camera)) as frames:
         assert [f.index for f in frames] == [0, 1]
     assert "was disconnected" in camera.broke_off
     assert device.replay.log.count("stopped") == 1

@@ -3,6 +3,7 @@
 import threading
 import weakref
 from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
 
@@ -30,7 +31,7 @@ def test_latest_holds_only_the_newest(sequence):
 
 def test_all_makes_the_source_wait_and_loses_nothing(sequence):
     counting = Counting(sequence)
-    with BackgroundFrames(counting_frames(counting), size=2) as frames:
+    with closing(BackgroundFrames(counting_frames(counting), size=2)) as frames:
         first = next(frames)
         assert [first.index, *(f.index for f in frames)] == 3 * [0, 1, 2, 3]
         assert (frames.n_received, frames.n_dropped) == (12, 0)
@@ -137,7 +138,7 @@ class Silent(LiveSource):
 
 def test_a_source_that_waits_is_stopped(sequence):
     source = Silent(sequence[0])
-    with BackgroundFrames(source) as frames:
+    with closing(BackgroundFrames(source)) as frames:
         next(frames)
     assert source.stopping.is_set()
     assert "frames" not in {t.name for t in threading.enumerate()}
@@ -151,7 +152,7 @@ def test_the_chosen_backend_reaches_the_thread(sequence):
             seen.append(_choice.get())
             return super().__getitem__(i)
 
-    with use_backend("reference"), read_ahead(Asking(sequence)) as frames:
+    with use_backend("reference"), closing(read_ahead(Asking(sequence))) as frames:
         next(frames)
     assert seen[0] == "reference"
 
