@@ -68,14 +68,14 @@ class RealSense(LiveSource):
     def __iter__(self) -> Iterator[Frame]:
         self._stopping.clear()
         self.broke_off = ""
-        context, pipeline, profile = self._started()
+        pipeline, profile = self._started()
         try:
             lens = _lens(profile.get_stream(self._rs.stream.color).as_video_stream_profile().get_intrinsics())
             undistorter = Undistorter(lens) if any(abs(k) > 1e-9 for k in lens.distortion) else None
             self.camera = lens.camera if undistorter is None else undistorter.camera
             depth_scale = np.float32(profile.get_device().first_depth_sensor().get_depth_scale())
             index = -self.warm_up
-            for colour, depth in self._pairs(context, pipeline):
+            for colour, depth in self._pairs(pipeline):
                 if index >= 0:
                     rgb = np.asanyarray(colour.get_data()).copy()
                     depth_m = np.asanyarray(depth.get_data()).astype(np.float32) * depth_scale
@@ -100,38 +100,28 @@ class RealSense(LiveSource):
         """End the iteration after the next frame."""
         self._stopping.set()
 
-    def _started(self) -> tuple[Any, Any, Any]:
-        """The driver's context, its running pipeline, and that pipeline's profile."""
+    def _started(self) -> tuple[Any, Any]:
+        """The driver's running pipeline, and that pipeline's profile."""
         try:
             rs = self._rs = importlib.import_module("pyrealsense2")
         except ImportError as e:
             raise CameraNotFoundError(
                 f"this camera needs the package pyrealsense2 ({e}): pip install 'gsfusion-nb[realsense]'"
             ) from None
-        context = rs.context()
-        serials = self._serials(context)
-        if not serials or (self.serial and self.serial not in serials):
-            wanted = f"with serial number {self.serial}; connected: {', '.join(serials) or 'none'}"
-            raise CameraNotFoundError(
-                f"no RealSense camera {wanted if self.serial else 'is connected; expected one on a USB 3 port'}"
-            )
-        self.serial = self.serial or serials[0]
-        config, pipeline = rs.config(), rs.pipeline(context)
-        config.enable_device(self.serial)
+        config, pipeline = rs.config(), rs.pipeline()
+        if self.serial:
+            config.enable_device(self.serial)
         config.enable_stream(rs.stream.color, self.width, self.height, rs.format.rgb8, self.fps)
         config.enable_stream(rs.stream.depth, self.width, self.height, rs.format.z16, self.fps)
         try:
-            return context, pipeline, pipeline.start(config)
+            return pipeline, pipeline.start(config)
         except RuntimeError as e:
             raise CameraNotFoundError(
-                f"RealSense camera {self.serial} cannot stream {self.width}x{self.height} at {self.fps} fps: {e}"
+                f"no RealSense camera {self.serial} streams {self.width}x{self.height} at {self.fps} fps ({e}); "
+                "expected one on a USB 3 port"
             ) from None
 
-    def _serials(self, context: Any) -> list[str]:
-        """Serial numbers of the cameras that are connected now."""
-        return [d.get_info(self._rs.camera_info.serial_number) for d in context.query_devices()]
-
-    def _pairs(self, context: Any, pipeline: Any) -> Iterator[tuple[Any, Any]]:
+    def _pairs(self, pipeline: Any) -> Iterator[tuple[Any, Any]]:
         """The driver's colour and depth frames, until the camera is stopped or lost."""
         align, silent = self._rs.align(self._rs.stream.color), 0
         while not self._stopping.is_set() and not self.broke_off:
@@ -143,7 +133,7 @@ class RealSense(LiveSource):
                     yield colour, depth
             except RuntimeError as e:  # the driver uses one exception class for all errors
                 silent += 1
-                if self.serial not in self._serials(context) or "didn't arrive" not in str(e):
+                if "didn't arrive" not in str(e):
                     self.broke_off = f"{self.name} was disconnected: {e}"
                 elif silent >= MAX_TIMEOUTS:
                     self.broke_off = f"{self.name} gave no frame for {silent * self.timeout_s:g} s"

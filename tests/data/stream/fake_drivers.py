@@ -57,20 +57,16 @@ class _Frames:
         return self
 
 
-def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_conrady", serials=("123",)):
+def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_conrady"):
     """A module like pyrealsense2."""
     rs = types.SimpleNamespace()
-    rs.camera_info = types.SimpleNamespace(serial_number="serial")
     rs.stream = types.SimpleNamespace(color="color", depth="depth")
     rs.format = types.SimpleNamespace(rgb8="rgb8", z16="z16")
 
-    class Context:
-        def query_devices(self):
-            known = serials if replay.connected else ()
-            return [types.SimpleNamespace(get_info=lambda what, s=s: s) for s in known]
-
     class Config:
         def enable_device(self, serial):
+            if serial != "123":
+                raise_later.append(serial)
             replay.log.append(("device", serial))
 
         def enable_stream(self, stream, width, height, kind, fps):
@@ -81,9 +77,6 @@ def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_co
     raise_later: list = []
 
     class Pipeline:
-        def __init__(self, context):
-            pass
-
         def start(self, config):
             if raise_later:
                 raise RuntimeError("Couldn't resolve requests")
@@ -125,6 +118,6 @@ def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_co
         def process(self, frames):
             return frames
 
-    rs.context, rs.config, rs.pipeline = Context, Config, Pipeline
+    rs.config, rs.pipeline = Config, Pipeline
     rs.align = Align
     return rs
