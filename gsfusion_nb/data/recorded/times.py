@@ -2,7 +2,6 @@
 
 import bisect
 import itertools
-import logging
 import math
 import statistics
 from collections import abc
@@ -13,8 +12,6 @@ from typing import Any
 from ...checks import shown
 from ..sequence import SequenceError
 from .poses import image_key, read_words
-
-log = logging.getLogger(__name__)
 
 TIMES = "times.txt"
 
@@ -73,8 +70,6 @@ def read_image_list(path: Path) -> tuple[list[float], list[Path]]:
 def times_of_images(path: Path, images: list[Path]) -> tuple[list[float] | None, str]:
     """Seconds of each image by its name, from lines "name seconds"; or ``None`` and the reason why there are none.
 
-    Numbers that are not times (``judge_stamps``) are not used.
-
     Raises:
         SequenceError: a line that is not a name and a number, or an image that is not in the file.
     """
@@ -95,15 +90,6 @@ def times_of_images(path: Path, images: list[Path]) -> tuple[list[float] | None,
     times = [time_of[image_key(image.stem)] for image in images]
     if not all(math.isfinite(t) for t in times):
         return None, f"{path.name} holds none"  # converted from a recording without times
-    stamps = judge_stamps(times, unit="s")
-    if stamps.times_s is None:
-        log.warning(
-            "%s: its numbers are not times: %s; frames are taken in the order of their names", path, stamps.why_not
-        )
-        return None, f"the numbers of {path.name} are not times: {stamps.why_not}"
-    late = next((image for image, a, b in zip(images[1:], times, times[1:], strict=False) if b <= a), None)
-    if late is not None:
-        log.warning("%s: the time of %s is not after that of the image before it", path, late.name)
     return times, ""
 
 
