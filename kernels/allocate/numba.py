@@ -29,6 +29,7 @@ from ..runtime.numba.simd import (
     either,
     floor,
     load,
+    mark,
     maximum,
     minimum,
     select,
@@ -36,8 +37,8 @@ from ..runtime.numba.simd import (
     sqrt,
     store,
     times,
+    truncate,
 )
-from ..runtime.numba.simd_int import mark, truncate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,9 +12,8 @@ from gsfusion_nb.render.constants import ALPHA_MIN, NEAR_PLANE_M
 from gsfusion_nb.render.on_screen import Footprints
 from gsfusion_nb.types import Camera, GaussianParams
 
-from ..project.geometry import camera_point
 from ..project.layout import DEPTH, EXTENT_U, EXTENT_V, HEIGHT, LN_OPACITY, SPLAT, WIDTH, Params, U, V, pack_camera
-from ..project.numba import CHUNK, _project
+from ..project.numba import CHUNK, _project, camera_point
 from ..runtime.numba.launch import launching
 
 f32 = np.float32

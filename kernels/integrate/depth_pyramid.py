@@ -10,8 +10,7 @@ from numba import int32, njit, prange, uint32, uint64
 
 from gsfusion_nb.tsdf.block_pool import BLOCK_VOXELS
 
-from ..runtime.numba.simd import load, maximum, select, splat, store
-from ..runtime.numba.simd_int import byte_triples, float_bits, splat_int, store_pairs
+from ..runtime.numba.simd import byte_triples, float_bits, load, maximum, select, splat, splat_int, store, store_pairs
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
 # pyright: reportCallIssue=false

@@ -19,16 +19,25 @@ from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
 from ..runtime.numba.launch import launching
-from ..runtime.numba.simd import absolute, any_lane, load, maximum, minimum, select, splat, sqrt, store, times
-from ..runtime.numba.simd_int import (
+from ..runtime.numba.simd import (
+    absolute,
+    any_lane,
     count_lanes,
     first_byte,
     gather,
     gather_pairs,
+    load,
+    maximum,
+    minimum,
     prefetch,
     second_byte,
+    select,
+    splat,
     splat_int,
+    sqrt,
+    store,
     third_byte,
+    times,
     truncate,
 )
 from .depth_pyramid import MISSING, find_observable, packed_image

@@ -21,12 +21,9 @@ from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 from ..binning.layout import check_pairs
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
 from ..composite.layout import PAIR_SUMS, TILE, Image, IndexImages, PairLists, Wanted
-from ..composite.numba import composite_forward
-from ..composite.vjp import composite_backward
-from ..project.geometry import centre_vjp, row_sums
+from ..composite.numba import composite_backward, composite_forward
 from ..project.layout import SPLAT, Params, pack_camera
-from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
-from ..project.vjp import project_rows_vjp
+from ..project.numba import CHUNK, NOTED_PER_CHUNK, centre_vjp, project_rows, project_rows_vjp, row_sums
 from ..runtime.numba.launch import launching, scratch
 from .host import blank, screen_of
 

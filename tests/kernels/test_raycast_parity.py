@@ -82,8 +82,7 @@ def test_no_size_of_tile_loses_a_surface(tile_px, mapped, monkeypatch):
 
 def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
     """Blocks that no ray can meet do not count: all rays start at the nearest block of their tile, or never."""
-    from gsfusion_nb.kernels.raycast.in_view import NEAR_END, look_up
-    from gsfusion_nb.kernels.raycast.trilinear import Blocks, Sizes
+    from gsfusion_nb.kernels.raycast.numba import NEAR_END, Blocks, Sizes, look_up
     from gsfusion_nb.kernels.runtime.arguments import lens_of
 
     _, frames = mapped
