@@ -66,25 +66,10 @@ _PIECES: dict[str, Callable] = {}
 _FROM_ENVIRONMENT = from_environment()
 _choice: ContextVar[str | None] = ContextVar("gsfusion_backend", default=None)
 _logged: set[tuple[str, str]] = set()
-_set_aside: set[str] = set()
 
 
 class BackendUnavailable(RuntimeError):
     """A backend was asked for by name and cannot run; the message says what is missing."""
-
-
-class KernelsUnusable(BackendUnavailable):
-    """A backend's kernels failed at their first use, before they changed anything.
-
-    Args:
-        backend: Its name. From then on "auto" uses other backends for all operations, because what one backend's
-            forward pass has made, another's gradient could not read.
-        reason: A sentence.
-    """
-
-    def __init__(self, backend: str, reason: str):
-        super().__init__(reason)
-        self.backend = backend
 
 
 class Record:
@@ -119,16 +104,7 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                     raise ValueError(f"{name}: {e}") from None
             if chosen() not in ("reference", MINE) and _is_double(args, kwargs):
                 return plain(*args, **kwargs)
-            while True:
-                implementation = _select(name, args, kwargs)
-                try:
-                    return implementation(*args, **kwargs)
-                except KernelsUnusable as e:
-                    if chosen() != "auto" or e.backend in _set_aside:
-                        raise
-                    _set_aside.add(e.backend)
-                    automatic.cache_clear()
-                    log.warning("backend %r is not used any more: %s", e.backend, e)
+            return _select(name, args, kwargs)(*args, **kwargs)
 
         @functools.wraps(reference)
         def plain(*args, **kwargs):
@@ -276,7 +252,7 @@ def report() -> list[tuple[str, str, str]]:
 def automatic(name: str, device: str) -> str:
     """The backend that "auto" takes for operation ``name`` and tensors on a kind of device ("cpu", "cuda", ...)."""
     for backend in _PREFERRED.get(device, ()):
-        if backend in offered(name) and _obstacle(name, backend) is None:
+        if backend in offered(name) and _problem(name, backend) is None:
             return backend
     return "reference"
 
@@ -291,11 +267,6 @@ def _problem(name: str, backend: str) -> str | None:
     return None
 
 
-def _obstacle(name: str, backend: str) -> str | None:
-    """Why "auto" does not take ``backend``, or ``None``."""
-    return f"backend {backend!r} is not used any more" if backend in _set_aside else _problem(name, backend)
-
-
 def chosen() -> str:
     """The backend that was asked for: by ``use_backend``, else by the environment."""
     return _choice.get() or _FROM_ENVIRONMENT
@@ -307,9 +278,10 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     choice = chosen()
     if choice == MINE:
         _check_course()
-        return functools.partial(_run_mine, name)
+        return lambda *args, **kwargs: _run_counted(name, _OPS[name], args, kwargs)
     if choice != "auto":
-        return _named(name, choice)
+        check_name("backend", choice, ("auto", *BACKENDS))  # it may be from the environment
+        return load(name, choice if offered(name) else "reference")
     if not offered(name):
         return _OPS[name]
     device = next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
@@ -319,10 +291,6 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     else:
         _log_once(logging.INFO, name, f"{name}: {backend}")
     return load(name, backend)
-
-
-def _run_mine(name: str, *args, **kwargs) -> Any:
-    return _run_counted(name, _OPS[name], args, kwargs)
 
 
 def _check_course() -> None:
@@ -340,19 +308,11 @@ def _is_double(args: tuple, kwargs: dict) -> bool:
     return isinstance(first, GaussianParams) and first.xyz_W.dtype != torch.float32
 
 
-def _named(name: str, backend: str) -> Callable:
-    """The implementation for a backend that was asked for by its name."""
-    check_name("backend", backend, ("auto", *BACKENDS))
-    return load(name, backend if offered(name) else "reference")
-
-
 def _why_slow(name: str, device: str) -> str:
     """A sentence for the user of an operation whose faster versions cannot be used, with what to do about it."""
     tried = [b for b in _PREFERRED.get(device, ()) if b in offered(name)]
-    reason = "; ".join(obstacle for b in tried if (obstacle := _obstacle(name, b)))
-    if reason:
-        advice = "" if _set_aside.intersection(tried) else ": `gsfusion-nb doctor` says what to install"
-        return f"{reason}; {name} runs on the slower reference{advice}"
+    if problems := [problem for b in tried if (problem := _problem(name, b))]:
+        return f"{'; '.join(problems)}; {name} runs on the slower reference: `gsfusion-nb doctor` says what to install"
     known = " and ".join(sorted({kind for kind, names in _PREFERRED.items() if set(names) & set(offered(name))}))
     return f"{name} runs on the slower reference: its faster versions take {known} tensors, and these are on {device!r}"
 

@@ -1,4 +1,3 @@
-import functools
 import logging
 import sys
 
@@ -148,40 +147,6 @@ def test_auto_takes_the_fast_one_and_reference_stays_reachable(double, write_ker
     with use_backend("reference"):
         assert double(x).tolist() == [6.0]
     assert ("double", "numba", "ok") in backends.report()
-
-
-def test_kernels_that_do_not_compile_are_set_aside_for_all_operations(double, caplog, monkeypatch):
-    """The next one takes over with a warning, else the reference: what one backend's forward pass has made, another's
-    gradient could not take."""
-    monkeypatch.setattr(backends, "_set_aside", set())
-    monkeypatch.setattr(backends, "_PREFERRED", {"cpu": ("cuda", "numba")})
-
-    def fails(x):
-        raise backends.KernelsUnusable("cuda", "double.cu does not compile")
-
-    made = {("double", "cuda"): fails, ("double", "numba"): torch.square, ("other", "cuda"): fails}
-    monkeypatch.setattr(
-        backends, "load", functools.cache(lambda name, backend: made.get((name, backend), backends._OPS[name]))
-    )
-    offers = {"double": ("numba", "cuda"), "other": ("cuda",)}
-    monkeypatch.setattr(backends, "offered", functools.cache(offers.__getitem__))
-
-    @op("other")
-    def other(x: torch.Tensor) -> torch.Tensor:
-        """Thrice."""
-        return 3 * x
-
-    x = torch.tensor([3.0])
-    with caplog.at_level(logging.WARNING, logger="gsfusion_nb.backends"):
-        assert double(x).tolist() == [9.0]
-        assert double(x).tolist() == [9.0]
-        assert other(x).tolist() == [9.0]
-    assert [r.message for r in caplog.records] == [
-        "backend 'cuda' is not used any more: double.cu does not compile",
-        "backend 'cuda' is not used any more; other runs on the slower reference",
-    ]
-    with use_backend("cuda"), pytest.raises(BackendUnavailable, match="does not compile"):
-        double(x)
 
 
 def test_inside_a_reference_every_operation_is_the_reference(double, write_kernel):

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_finite, check_shape
@@ -191,8 +191,3 @@ def check_depth_scale(source: str, scale: float) -> None:
             f"{source}: the depth scale, the stored value of one metre, must be between {low:g} and {high:g}, got "
             f"{scale:g}{inverse}"
         )
-
-
-def is_near(xyz_W: Float[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
-    """Which points are within the limit of distance; False for NaN. [N]"""
-    return (xyz_W.abs() <= MAX_DISTANCE_M).all(dim=-1)
