@@ -225,9 +225,10 @@ def move_into_place(temporary: Path, path: Path) -> None:
 
 
 def try_lock(handle: int) -> bool:
-    """Lock an open file for this process, unless another one holds it; whether it is locked now.
+    """Lock an open file for this process; whether no other one holds it.
 
-    The operating system frees the lock when the file is closed or its holder ends, however it ends.
+    The operating system frees the lock when the file is closed or its holder ends, however it ends. A file system that
+    has no locks keeps nobody out.
     """
     try:
         if sys.platform == "win32":
@@ -238,8 +239,8 @@ def try_lock(handle: int) -> bool:
             import fcntl
 
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
+    except OSError as e:
+        return e.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
     return True
 
 

@@ -50,7 +50,6 @@ ALLOWED = {
     "data/recorded/images.py": "decodes after the header was looked at",
     "data/room/scene.py": "pictures of its own, from bytes of a limited size",
     "recordings/convert/recording.py": "an array whose header was looked at, from bytes of a limited size",
-    "compare/run_all.py": "a picture it has just drawn",
     "recordings/fetch.py": "downloads, a lock of its own, and unpacking into a new folder within a limit",
     "recordings/convert/formats/ros_bag.py": "everything but the reading of bytes, which it bounds",
     "course/progress.py": "a lock of its own",

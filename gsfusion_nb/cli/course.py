@@ -3,7 +3,6 @@
 ``gsfusion-nb course export``: assignments.
 """
 
-import json
 import shlex
 import subprocess
 import sys
@@ -29,12 +28,8 @@ class CourseOptions:
     open: bool = False
     """Then open the first one in JupyterLab."""
 
-    json: bool = False
-    """Print JSON."""
     reset: bool = False
-    """Start the course again. Asks first; the file with your progress is renamed, not deleted."""
-    yes: bool = False
-    """With --reset: do not ask."""
+    """Start the course again. The file with your progress is renamed, not deleted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,30 +66,20 @@ def export(arguments: list[str]) -> int:
 
 
 def run(arguments: list[str]) -> int:
-    """The command. Exit status: 0 done, 1 not confirmed."""
+    """The command."""
     if arguments[:1] == ["export"]:
         return export(arguments[1:])
     from ..course.course import read_course
-
-    options = parse_options(CourseOptions, prog="gsfusion-nb course", arguments=arguments)
-    if options.reset:
-        return _reset(options.yes)
-    if options.folder is not None:
-        return _copy(options.folder, options.open)
-    course = read_course()
-    print(json.dumps(course.as_json(), indent=1) if options.json else course.as_table())
-    return 0
-
-
-def _reset(yes: bool) -> int:
-    """Start again."""
     from ..course.progress import reset
 
-    if not (yes or _confirmed()):
-        print("Nothing was changed.")
-        return 1
-    kept = reset()
-    print(f"The course starts again. Your progress so far is kept in {kept}" if kept else "There was no progress.")
+    options = parse_options(CourseOptions, prog="gsfusion-nb course", arguments=arguments)
+    if options.folder is not None:
+        return _copy(options.folder, options.open)
+    if options.reset:
+        kept = reset()
+        print(f"The course starts again. Your progress so far is kept in {kept}" if kept else "There was no progress.")
+    else:
+        print(read_course().as_table())
     return 0
 
 
@@ -117,12 +102,3 @@ def _copy(folder: Path, open_it: bool) -> int:
 def quoted(path: str, *, windows: bool) -> str:
     """A path as one word of a command line; Windows knows double quotes only."""
     return subprocess.list2cmdline([path]) if windows else shlex.quote(path)
-
-
-def _confirmed() -> bool:
-    """Whether somebody at the keyboard types yes."""
-    print(
-        "Start the course again? Solved exercises, predictions and accepted functions are set aside. Type yes: ", end=""
-    )
-    sys.stdout.flush()
-    return sys.stdin.readline().strip().lower() == "yes"

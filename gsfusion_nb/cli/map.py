@@ -12,7 +12,7 @@ from .settings import SettingsOptions, named_values, parse
 
 _WITH_RESUME = (
     "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
-    "--checkpoint-every-frames", "--rerun", "--changed-data", "--no-changed-data",
+    "--checkpoint-every-frames", "--rerun",
 )  # fmt: skip
 
 
@@ -41,9 +41,6 @@ class MapOptions(SettingsOptions):
     With --resume a new file, which holds what comes after the interruption."""
     resume: str = ""
     """Folder of an interrupted run to continue; no other option is needed."""
-    changed_data: bool = False
-    """With --resume: go on even if files of the recording were changed, added or deleted since the run began. The map
-    is then one of two data sets, and the report says so."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     checkpoint_every_s: float = 30.0
@@ -75,11 +72,8 @@ def run(arguments: list[str]) -> int:
                 evaluate=options.evaluate,
                 checkpoints=every,
                 watch=watch,
-                changed_data=options.changed_data,
             )
             return print_result(finished)
-        if options.changed_data:
-            raise ValueError("--changed-data is for a run that is continued: expected --resume FOLDER with it")
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
         reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}

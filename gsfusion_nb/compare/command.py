@@ -35,9 +35,6 @@ class WhereOptions:
     machine. The workers must find the data under the same paths. Needs the extra "cluster"."""
     backend: str = field(default_factory=from_environment)
     """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
-    cache: bool = True
-    """Use results of earlier commands from the shared cache, whatever their --out, and add new ones to it. Rows that
-    were copied say so in runs.csv (copied_from)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,11 +64,13 @@ def main(options: LabOptions) -> int:
         table = read_table(options.table)
         print(table)
         folder = Path(options.out or f"runs/{Path(options.table).stem}").expanduser()
-        return run_and_write(table.specs, folder, options, table=table)
+        return run_and_write(table.specs, folder, options, table=table)[0]
 
 
-def run_and_write(specs: Sequence[RunSpec], folder: Path, options: WhereOptions, *, table: Table | None = None) -> int:
-    """Run all ``specs``, print each result as it comes, and write the outputs. Returns the exit status.
+def run_and_write(
+    specs: Sequence[RunSpec], folder: Path, options: WhereOptions, *, table: Table | None = None
+) -> tuple[int, list[RunResult]]:
+    """Run all ``specs``, print each result as it comes, and write the outputs. Returns exit status and results.
 
     Tables are written anew while it runs, at most every ``RENEW_S`` seconds; page and figure at the end.
 
@@ -80,7 +79,7 @@ def run_and_write(specs: Sequence[RunSpec], folder: Path, options: WhereOptions,
     """
     table, results = table or Table(), dict[int, RunResult]()
     with RunFolder(folder):
-        store, began, interrupted = ResultStore(folder, shared=options.cache), time.perf_counter(), False
+        store, began, interrupted = ResultStore(), time.perf_counter(), False
         renewed_s = began
         try:
             with executor(options.jobs, options.dask) as where:
@@ -88,24 +87,21 @@ def run_and_write(specs: Sequence[RunSpec], folder: Path, options: WhereOptions,
                     results[i] = result
                     print(f"[{len(results):3d}/{len(specs)}] {describe(result)}", flush=True)
                     if len(results) < len(specs) and time.perf_counter() - renewed_s > RENEW_S:
-                        Results(runs=_in_order(results), about=table).write(folder, pictures=False)
+                        Results(runs=_in_order(results), about=table, store=store).write(folder, pictures=False)
                         renewed_s = time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True
         done = _in_order(results)
         if done:
-            Results(runs=done, about=table).write(folder)
+            Results(runs=done, about=table, store=store).write(folder)
             print(f"\n{(folder / 'table.md').read_text(encoding='utf-8')}")
     failed = sum(result.status == "failed" for result in done)
-    copied = sum(bool(result.copied_from) for result in done)
-    if copied:
-        print(f"{copied} results were copied from {store.cache}; --no-cache computes them")
     took_s = time.perf_counter() - began
     print(f"{len(done)} of {len(specs)} runs in {took_s:.0f} s, {failed} failed; files in {folder}")
     if interrupted:
         print("Interrupted: the same command continues.")
-        return 130
-    return 1 if failed else 0
+        return 130, done
+    return 1 if failed else 0, done
 
 
 def describe(result: RunResult) -> str:
@@ -115,8 +111,7 @@ def describe(result: RunResult) -> str:
     if result.status == "failed":
         return f"{name}: failed: {result.reason}"
     psnr = f"{numbers['psnr_held_out_db']:.2f} dB held out, " if "psnr_held_out_db" in numbers else ""
-    copied = ", copied from the shared cache" if result.copied_from else ""
-    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps{copied}"
+    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps"
 
 
 def _in_order(results: dict[int, RunResult]) -> list[RunResult]:

@@ -1,12 +1,15 @@
 """Where runs are done: in this process, in several on this machine, or on a Dask cluster; and what each does."""
 
+import concurrent.futures
 import contextlib
 import dataclasses
 import heapq
+import multiprocessing
+import os
 import pickle
+import signal
 import tempfile
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +18,7 @@ from typing import Any, Literal, Protocol, cast, runtime_checkable
 from ..backends import use_backend
 from ..mapping import StepReport
 from ..seeding import SeedingRule, rule_name
-from ..work import WorkerPool, usable_cores
+from ..work import usable_cores
 from .map_scene import Entry, OnStep
 from .one_run import run_entry
 from .spec import RunResult, RunSpec, run_key
@@ -141,50 +144,30 @@ class InProcess:
         return number, do_task(task, lambda report: self._on_step(task, report))
 
 
-class InProcesses:
-    """Several processes on this machine, which divide its cores. A task whose process dies has failed."""
+class OnFutures:
+    """Processes of this machine, or a Dask cluster, whose scheduler repeats the tasks of a worker that is lost.
 
-    def __init__(self, pool: WorkerPool):
-        self._pool, self._tasks = pool, list[tuple[bool, int, Task]]()
-        self._answers: deque[tuple[int, Answer]] = deque()
+    Args:
+        submit: Begins a task elsewhere; returns its future.
+        wait: Waits for the first of some futures, as ``concurrent.futures.wait``.
+    """
 
-    def put(self, number: int, task: Task) -> None:
-        """Add a task."""
-        heapq.heappush(self._tasks, (task.kind == "tune", number, task.packed()))
-
-    def get(self) -> tuple[int, Answer]:
-        """Wait for the next answer."""
-        died = Answer(reason="its process ended without a result (killed, or out of memory)")
-        while not self._answers:
-            while self._tasks and self._pool.has_room:
-                _, number, task = heapq.heappop(self._tasks)
-                self._pool.start(number, (task,))
-            self._answers += [(n, a if isinstance(a, Answer) else died) for n, a in self._pool.wait()]
-        return self._answers.popleft()
-
-
-class OnDask:
-    """A Dask cluster (``client`` is of it). Its scheduler repeats the tasks of a worker that is lost."""
-
-    def __init__(self, client: Any):
-        self._client = client
+    def __init__(self, submit: Callable[[Task], Any], wait: Callable[..., Any]):
+        self._submit, self._wait = submit, wait
         self._numbers: dict[Any, int] = {}
 
     def put(self, number: int, task: Task) -> None:
         """Add a task."""
-        future = self._client.submit(do_task, task.packed(), pure=False, priority=int(task.kind == "run"))
-        self._numbers[future] = number
+        self._numbers[self._submit(task.packed())] = number
 
     def get(self) -> tuple[int, Answer]:
         """Wait for the next answer."""
-        from distributed import wait
-
-        found: Any = wait(list(self._numbers), return_when="FIRST_COMPLETED")
-        future = min(found.done, key=lambda future: self._numbers[future])
+        done = self._wait(list(self._numbers), return_when="FIRST_COMPLETED").done
+        future = min(done, key=lambda future: self._numbers[future])
         number, error = self._numbers.pop(future), future.exception()
         if error is None:
             return number, future.result()
-        return number, Answer(reason=f"the cluster gave it up: {type(error).__name__}: {error}")
+        return number, Answer(reason=f"its process was lost: {type(error).__name__}: {error}")
 
 
 @contextlib.contextmanager
@@ -201,17 +184,57 @@ def executor(jobs: int = 1, dask: str = "") -> Iterator[Executor]:
     """
     if dask:
         with _client(jobs, dask) as client:
-            yield OnDask(client)
+            yield on_dask(client)
     elif jobs > 1:
-        with WorkerPool(do_task, jobs, threads_of_each(jobs)) as pool:
-            yield InProcesses(pool)
+        with _processes(jobs) as pool:
+            yield OnFutures(lambda task: pool.submit(do_task, task), concurrent.futures.wait)
     else:
         yield InProcess()
+
+
+def on_dask(client: Any) -> OnFutures:
+    """The cluster of a Dask client."""
+    from distributed import wait
+
+    def submit(task: Task) -> Any:
+        return client.submit(do_task, task, pure=False, priority=int(task.kind == "run"))
+
+    return OnFutures(submit, wait)
 
 
 def threads_of_each(jobs: int) -> dict[str, str]:
     """Environment in which each of ``jobs`` processes uses its share of the cores, so that they do not fight."""
     return dict.fromkeys(_THREADS, str(max(usable_cores() // jobs, 1)))
+
+
+@contextlib.contextmanager
+def _processes(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
+    """Several processes, which divide the cores; if one dies, all tasks that are left have failed."""
+    before = dict(os.environ)
+    os.environ.update(threads_of_each(jobs))  # what is started now reads it, and nothing here does so again
+    spawn = multiprocessing.get_context("spawn")
+    pool = concurrent.futures.ProcessPoolExecutor(jobs, spawn, initializer=_begin_process)
+    try:
+        yield pool
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            process.terminate()
+
+
+def _begin_process() -> None:
+    """In a process of ``_processes``: Ctrl-C is for its parent, and when that was killed it ends, too."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextlib.contextmanager

@@ -1,6 +1,5 @@
 """A comparison in a notebook: a table that fills while the runs are done, with buttons, and the pictures of a rule."""
 
-import contextlib
 import html
 import threading
 import time
@@ -15,7 +14,7 @@ from ..drawing.pictures import Picture, data_uri
 from ..mapping import StepReport
 from ..viz.display import Bundle, with_picture
 from ..viz.player import Player, player_buttons
-from .executors import InProcess, Task, executor
+from .executors import InProcess, Task
 from .map_scene import Entry
 from .outputs import Results
 from .page import views_of
@@ -37,30 +36,27 @@ class LiveTable:
 
     The last line of a cell shows it: the tables, and a menu of rules whose held-out views are shown. From Python:
     ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which does ``n`` runs in the calling cell. Results
-    are kept in ``folder``, and a run that is done is never repeated: the same table made again has its rows at once.
+    are kept in a cache, and a run that is done is never repeated: the same table made again has its rows at once.
     Making another ``LiveTable`` stops this one.
 
     Args:
         runs: What is compared; ``entries_of`` makes all combinations of rules, scenes, seeds and budgets.
-        folder: Where results and pictures are kept.
-        jobs: Number of processes; with 1 the runs are done in this process and pause between two frames, with more
-            they pause between two runs.
-        dask: As for ``executors.executor``.
+        folder: Where ``write`` writes.
+        store: Where results are kept; the cache of this package by default.
 
     ``results`` are those so far. ``write()`` writes the table, the figure and the page into ``folder``.
     """
 
     def __init__(
-        self, runs: Iterable[Entry | RunSpec], folder: str | Path | ResultStore = "runs/lab", *,
-        jobs: int = 1, dask: str = "",
+        self, runs: Iterable[Entry | RunSpec], folder: str | Path = "runs/lab", *, store: ResultStore | None = None
     ):  # fmt: skip
         global _on_stage
         if _on_stage is not None and (earlier := _on_stage()) is not None:
             earlier.stop()
         _on_stage = weakref.ref(self)
         self.entries = [run if isinstance(run, Entry) else Entry(spec=run) for run in runs]
-        self.store = folder if isinstance(folder, ResultStore) else ResultStore(folder)
-        self._jobs, self._dask, self._found = jobs, dask, dict[int, RunResult]()
+        self.folder, self.store = Path(folder), store or ResultStore()
+        self._found: dict[int, RunResult] = {}
         self._go, self._given_up, self._resting, self._now = threading.Event(), False, False, ""
         self._go.set()
         self._writing, self._next_write_s = threading.RLock(), 0.0
@@ -79,7 +75,7 @@ class LiveTable:
         self.player.start()
 
     def pause(self) -> None:
-        """Pause after the current frame; with several processes, after the current run."""
+        """Pause after the current frame."""
         self._go.clear()
         self.player.pause()
         self._say()
@@ -118,8 +114,8 @@ class LiveTable:
         return figure_picture(Results(runs=self.results).figure())
 
     def write(self, folder: str | Path | None = None) -> list[Path]:
-        """Write the results so far (``Results.write``), into their folder if none is given. Returns the files."""
-        return Results(runs=self.results).write(folder or self.store.folder)
+        """Write the results so far (``Results.write``). Returns the files."""
+        return Results(runs=self.results, store=self.store).write(folder or self.folder)
 
     def __repr__(self) -> str:
         reasons = [reason for *_, reason in failures(self.results)]
@@ -143,15 +139,10 @@ class LiveTable:
     def _runs(self) -> Iterator[RunResult | None]:
         """The runs without a result; one step does one run, or gives None if it was given up."""
         while left := [i for i in range(len(self.entries)) if i not in self._found]:
-            alone = self._jobs == 1 and not self._dask
-            entries = [self.entries[i] for i in left]
             try:
-                with (
-                    contextlib.nullcontext(InProcess(self._on_frame)) if alone else executor(self._jobs, self._dask)
-                ) as where:
-                    for i, result in run_all(entries, self.store, where):
-                        self._found[left[i]] = result
-                        yield result
+                for i, result in run_all([self.entries[i] for i in left], self.store, InProcess(self._on_frame)):
+                    self._found[left[i]] = result
+                    yield result
             except _Stopped:
                 yield None
 

@@ -18,6 +18,7 @@ from ..files import atomic_file, plain_cell, write_file
 from .map_scene import budgeted
 from .page import page_html
 from .pareto import figure_of
+from .run_all import ResultStore
 from .schedule import flat_settings
 from .spec import RunResult, RunSpec, package_fingerprint
 from .statistics import COLUMNS, Group, Summary, against_reference, by_budget, group_runs, standings, summarise
@@ -57,6 +58,8 @@ class Results:
     """In any order; those that failed, too."""
     about: Table = field(default_factory=Table)
     """The comparison that they belong to."""
+    store: ResultStore = field(default_factory=ResultStore)
+    """Where the files of ``RunResult.pictures`` are."""
 
     @property
     def groups(self) -> list[Group]:
@@ -89,7 +92,7 @@ class Results:
         Existing files are replaced, each completely or not at all; so it can be called again after every run.
 
         Args:
-            folder: Where the files go; the names in ``RunResult.pictures`` are looked up there.
+            folder: Where the files go.
             pictures: Write page and figure, too, which takes seconds with many runs.
 
         Returns:
@@ -102,7 +105,7 @@ class Results:
             "table.json": json.dumps(self.as_json(), indent=1, allow_nan=False),
         }
         if pictures:
-            texts["page.html"] = page_html(folder, self.runs, self.tables())
+            texts["page.html"] = page_html(self.store.folder, self.runs, self.tables())
         for name, text in texts.items():
             write_file(folder / name, text)
         figures = ("pareto.pdf", "pareto.png") if pictures else ()
@@ -209,7 +212,7 @@ def _row(result: RunResult) -> dict[str, Any]:
         "label": spec.label, "rule": spec.rule, "options": dict(spec.options), "scene": spec.scene, "data": spec.data,
         "reader": dict(spec.reader), "seed": spec.seed, "system": spec.system, "steps": spec.budget.steps,
         "budget_gaussians": spec.budget.gaussians, "budget_tolerance": spec.budget.tolerance, "status": result.status,
-        "reason": result.reason, "copied_from": result.copied_from,
+        "reason": result.reason,
         "notes": "; ".join(result.notes), "key": result.key, "map_hash": result.map_hash, "data_hash": result.data_hash,
         **{f"metric.{name}": value for name, value in result.metrics.items()},
         **{f"tuned.{name}": value for name, value in result.tuned.items()},

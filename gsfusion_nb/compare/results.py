@@ -1,6 +1,5 @@
 """Seeding rules compared in one call."""
 
-import tempfile
 from collections.abc import Iterable, Sequence
 
 from ..config import SystemConfig
@@ -24,7 +23,7 @@ def compare_rules(
 ) -> Results:
     """Map ``data`` with each rule and score the views that were held out.
 
-    No folder is written; results are kept in the shared cache, and a run that is known is not repeated. Ctrl-C (in a
+    No folder is written; results are kept in the cache, and a run that is known is not repeated. Ctrl-C (in a
     notebook: interrupt the kernel) ends it; the results of finished runs are kept.
 
     Args:
@@ -50,12 +49,9 @@ def compare_rules(
         config=config,
     )  # fmt: skip
     found: dict[int, RunResult] = {}
-    with (
-        ProgressDisplay("rules", total=len(entries), unit="run", leave=False) as display,
-        tempfile.TemporaryDirectory(prefix="gsfusion-compare-") as folder,
-    ):
+    with ProgressDisplay("rules", total=len(entries), unit="run", leave=False) as display:
         try:
-            for i, result in run_all(entries, ResultStore(folder)):
+            for i, result in run_all(entries, ResultStore()):
                 found[i] = result
                 display.show(len(found))
         except KeyboardInterrupt:

@@ -22,7 +22,7 @@ from ..render import render_forward, render_vjp
 from ..tsdf import TsdfVolume, allocate
 from ..tsdf.integrate import fuse_frame_
 from ..types import Frame, GaussianParams
-from .bench.cases import DEVICES
+from .bench.run import DEVICES
 from .bench.scene import random_scene
 from .bench.timing import describe, header, lap, threads
 

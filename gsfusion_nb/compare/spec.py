@@ -311,9 +311,6 @@ class RunResult:
     """Name of a picture -> its file, relative to the output folder: "held_out 4" is the render of frame 4, which was
     held out, "truth 4" its recorded image."""
 
-    copied_from: str = ""
-    """The shared cache that the result was copied from; empty if it was computed for its output folder."""
-
     @property
     def key(self) -> str:
         """Content key of the run."""

@@ -22,7 +22,6 @@ from ..seeding.rule_code import is_rule_file, read_rule_file
 from . import disc_depth, roofline
 from .command import WhereOptions, run_and_write
 from .map_scene import Entry
-from .run_all import ResultStore
 from .spec import Budget, RunResult, RunSpec
 from .statistics import Group, group_runs
 
@@ -198,7 +197,7 @@ class SweepOptions(RecordingOptions):
 class StudyOptions(RecordingOptions):
     """Run a named comparison on one recording and print a table.
 
-    A variant that was run before, by any command, is taken from the cache, and the output says so."""
+    A variant that was run before, by any command, is taken from the cache."""
 
     name: Annotated[str, tyro.conf.Positional]
     """What to compare: systems (all three), transparent (with and without transparent Gaussians), states (optimising
@@ -227,7 +226,7 @@ def sweep(options: SweepOptions) -> int:
     with use_backend(options.backend):
         specs = sweep_specs(options)
         print(f"{len(specs)} runs, on {options.data}")
-        return run_and_write(specs, _folder(options, "sweep", options.data), options)
+        return run_and_write(specs, _folder(options, "sweep", options.data), options)[0]
 
 
 def study(options: StudyOptions) -> int:
@@ -248,10 +247,9 @@ def study(options: StudyOptions) -> int:
     with use_backend(options.backend):
         specs = study_specs(name, options, options.data, options.only)
         print(f"{asked.question}, on {options.data}")
-        status = run_and_write(specs, folder, options)
-        if asked.table and status != 130:
-            known = ResultStore(folder, shared=options.cache)
-            print(beside_paper(asked, [r for spec in specs if (r := known.find(spec)) is not None]))
+        status, results = run_and_write(specs, folder, options)
+        if asked.table:
+            print(beside_paper(asked, results))
     return status
 
 

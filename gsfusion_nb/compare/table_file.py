@@ -164,40 +164,28 @@ def _dotted(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 EXAMPLE = """\
 # A comparison of seeding rules: every rule, on every scene, with every seed, at every budget.
 #   gsfusion-nb lab THIS_FILE --jobs 2
-# The same command again continues after Ctrl-C, and computes nothing twice.
 
-seeds = [0, 1]         # or a number: seeds = 2 is the same. They change only random draws
+seeds = [0, 1]         # or a number. They change only random draws
 # reference = "uniform"  # the label that all others are tested against; default: the best rule
 system = "gsfusion"    # or "rtg_slam", "gps_slam"
-# preset = "room"      # settings published for a data set; default: room for the room, else replica
 
 [settings]             # of all runs; names as in gsfusion-nb map --help
-"data.width" = 160
-"data.height" = 120
+data = { width = 160, height = 120 }
 "tsdf.voxel_size_m" = 0.02
-"sh_degree" = 0
-"seeding.quadtree_contrast" = "std"
+sh_degree = 0
 "optim.global_iterations" = 3
 
 [[scenes]]
-data = "room"          # the built-in room, or the folder of a recording
-label = "room"         # its name in the tables
+data = "room"          # the built-in room, or the folder of a recording beside this file
 reader = { n_frames = 60 }
 
 [[scenes]]
 data = "room"
-label = "another room"
+label = "another room" # its name in the tables
 reader = { n_frames = 60, seed = 1, noise = "kinect" }
 
-# A difference is tested over the scenes: use many, of many places.
-# [[scenes]]
-# data = "my_recording"  # a folder beside this file
-# settings = { "data.stop" = 200, "data.stride" = 5 }
-# If the folder has every fourth frame of a camera with 30 Hz already: "seeding.source_stride" = 20
-
-[[budgets]]            # leave out all budgets for: equal steps, as many Gaussians as each rule makes
+[[budgets]]            # without any: equal steps, as many Gaussians as each rule makes
 gaussians = 2000       # one option of each rule is tuned until its map has this many
-tolerance = 0.05       # within 5 per cent
 steps = "equal"        # the same gradient steps for every rule; "own": they follow from the rule's seeds
 
 [[rules]]
@@ -205,21 +193,13 @@ rule = "gsfusion"
 
 [[rules]]
 rule = "uniform"
-# tuned_on = "room"    # the scenes that the values of a rule were chosen on: it is said under the table
 
 [[rules]]
 rule = "rtg_slam"
-label = "RTG-SLAM's"
 options = { transparent = false }
 
 [[rules]]
-rule = "dense"
+rule = "dense"         # or "my_rules.py:grid", from a file beside this one
 size_option = "thin"   # the option that is tuned; "thin" keeps a random share of the seeds
-label = "dense, thinned"
-
-# [[rules]]
-# rule = "my_rules.py:grid"    # a rule from a file beside this one
-# size_option = "spacing_px"   # its option that decides how many Gaussians it makes
-# size_range = [1, 100]
 """
 """A commented example of the file that describes a comparison."""

@@ -2,7 +2,7 @@
 
 import shutil
 import textwrap
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from ..drawing.page import fill
 from .exercise import exercises
@@ -137,12 +137,6 @@ class Course:
             f"about {of:.0f} h in all, text and panels included",
             *([f"next: {', '.join(begun)}"] if begun else []),
         ]
-
-    def as_json(self) -> dict[str, object]:
-        """For programs."""
-        chapters = [asdict(chapter) for chapter in self.chapters]
-        return {"file": self.file, "solved": self.done, "total": self.total, "predictions": self.predictions,
-                "chapters": chapters}  # fmt: skip
 
 
 def read_course(chapter: int | None = None) -> Course:

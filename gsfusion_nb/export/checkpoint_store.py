@@ -139,7 +139,7 @@ class CheckpointStore:
         if document.get("format") != FORMAT or document.get("version") != VERSION:
             raise ValueError(
                 f"expected a {FORMAT} of version {VERSION}, got version {shown(document.get('version'))}: map again, "
-                "or continue with the version of gsfusion_nb that began the run (status.json names it)"
+                "or continue with the version of gsfusion_nb that began the run"
             )
         constants: dict[str, Tensor] = {}
         state: Any = None

@@ -15,6 +15,7 @@ from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView
 from ..data.stream import read_ahead
 from ..export import CheckpointStore
 from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
+from ..seeding.rule_code import file_source
 from ..types import Frame, Mesh
 from .run_folder import CHECKPOINTS, StepLog, packed, random_state
 
@@ -218,6 +219,7 @@ class MappingRun:
             "run": self.state_dict(),
             "source": self.source or self.stream(),
             "mapper": self.mapper.state_dict(),
+            "rule_from_file": bool(file_source(self.mapper.rule)),
             "random": random_state(),
         }
         store = self._stores.setdefault(folder, CheckpointStore(folder / CHECKPOINTS))

@@ -6,7 +6,7 @@ import json
 import math
 import platform
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from ..evaluation import (
     trajectory_scores,
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
-from ..files import DiskFullError, write_file
+from ..files import write_file
 from ..mapping import Mapper
 from ..mapping.step import StepReport
 from ..seeding import is_built_in, rule_name, rule_source
@@ -79,7 +79,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     """Write both maps, the trajectory and the settings, before the evaluation.
 
     Raises:
-        DiskFullError: The disk has no space for a file; the files that fit are written.
+        DiskFullError: The disk has no space for a file; those before it are written.
     """
     try:
         mesh = run.mapper.mesh()
@@ -100,23 +100,13 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "training": run.mapper.training.names,
         "config": to_dict(run.mapper.config),
     }
-    writers: list[Callable[[], None]] = [
-        lambda: write_json(folder / "config.json", settings),
-        lambda: write_rule(run, folder),
-        lambda: write_json(folder / VIEWS, views_as_json(scored_views(run))),
-        lambda: _write_trajectory(run, folder),
-        lambda: write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params),
-        lambda: run.mapper.write_besides(folder),
-        lambda: write_mesh_ply(folder / "mesh.ply", mesh),
-    ]
-    problems: list[DiskFullError] = []
-    for write in writers:
-        try:
-            write()
-        except DiskFullError as e:
-            problems.append(e)
-    if problems:
-        raise problems[0]
+    write_json(folder / "config.json", settings)
+    write_rule(run, folder)
+    write_json(folder / VIEWS, views_as_json(scored_views(run)))
+    _write_trajectory(run, folder)
+    write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params)
+    run.mapper.write_besides(folder)
+    write_mesh_ply(folder / "mesh.ply", mesh)
     return mesh
 
 

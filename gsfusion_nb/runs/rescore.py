@@ -8,7 +8,6 @@ from typing import Any
 
 import torch
 
-from .. import __version__
 from ..checks import shown
 from ..config import DataConfig, from_dict
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
@@ -35,8 +34,7 @@ def rescore(
 
     The system renders as in the run, from gaussians.ply (GPS-SLAM: and tsdf.npz), at the poses in views.json. On the
     same device and backend the scores are equal to the run's, bit for bit. If some differ, the log and the warnings in
-    metrics.json list them, and the old file is kept as metrics-before-eval.json. A warning also says if the data has
-    other frames, poses or images than in the run.
+    metrics.json list them. A warning also says if the data has other frames, poses or images than in the run.
 
     Args:
         folder: Folder of the run.
@@ -84,9 +82,8 @@ def rescore(
         scores = {name: value for name, value in scores.items() if not (name.startswith("lpips") and name in stored)}
     changed = [name for name, value in scores.items() if _is_number(stored.get(name)) and value != stored[name]]
     if changed:
-        kept = _free_name(folder)
-        write_json(kept, document)
-        _warn(document, _difference(changed, stored, scores, settings.get("gsfusion_nb", ""), kept))
+        differences = ", ".join(f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed)
+        _warn(document, f"these scores differ from those of the run: {differences}")
     document["metrics"] = stored | scores
     write_json(folder / METRICS, document)
     return document["metrics"]
@@ -129,20 +126,5 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) or value == "infinite"
 
 
-def _difference(changed: list[str], stored: dict, scores: dict, version: str, kept: Path) -> str:
-    """A sentence that lists the scores that differ from the run's, and the file that keeps those."""
-    differences = ", ".join(f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed)
-    by = f" (mapped by version {version}, scored by {__version__})" if version and version != __version__ else ""
-    return f"these scores differ from those of the run{by}: {differences}; the old ones are in {kept.name}"
-
-
 def _short(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _free_name(folder: Path) -> Path:
-    """A file name next to metrics.json that is not used yet."""
-    n = 1
-    while (path := folder / f"metrics-before-eval{'' if n == 1 else f'-{n}'}.json").exists():
-        n += 1
-    return path

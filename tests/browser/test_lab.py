@@ -8,6 +8,7 @@ import pytest
 
 from gsfusion_nb.compare import Budget, RunResult, RunSpec
 from gsfusion_nb.compare.outputs import Results
+from gsfusion_nb.compare.run_all import ResultStore
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
@@ -50,7 +51,7 @@ def results(folder):
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
-    Results(runs=results(folder)).write(folder)
+    Results(runs=results(folder), store=ResultStore(folder)).write(folder)
     return f"file://{folder}/page.html"
 
 

@@ -268,7 +268,7 @@ def _run_folder(root: Path, takes) -> list[Seed]:
         run_mapping(str(root / "folder"), config, folder=root / "run", evaluate=True)
         of_tests("plugins/box_room.py").Box().folder(root / "scan")
         interrupted = [_interrupted(root, *kind) for kind in INTERRUPTED]
-    for name in ("report.html", "mesh.ply", "status.json"):
+    for name in ("report.html", "mesh.ply"):
         (root / "run" / name).unlink(missing_ok=True)
     return [
         Seed("run", "rescore", root / "run"),

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb import cli
+from gsfusion_nb.cli import map
 from gsfusion_nb.recordings import fetch
 
 
@@ -24,7 +25,7 @@ def recursing(arguments):
 @pytest.mark.parametrize("work", [broken, text_for_a_number, recursing])
 def test_a_mistake_of_ours_is_one_sentence_with_a_log(tmp_path, capsys, monkeypatch, work):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr(cli, "_map", work)
+    monkeypatch.setattr(map, "run", work)
     status = cli.main(["map", "scan", "--out", "run"])
     said = capsys.readouterr()
     assert (status, said.out) == (1, "")
@@ -41,7 +42,7 @@ def test_a_folder_without_permission_is_named_in_full(tmp_path, capsys, monkeypa
         raise PermissionError(13, "Permission denied", "runs")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_map", refused)
+    monkeypatch.setattr(map, "run", refused)
     assert cli.main(["map", "room"]) == 1
     said = capsys.readouterr().err
     assert said.startswith(f"gsfusion-nb map: permission denied: {tmp_path / 'runs'}; expected")

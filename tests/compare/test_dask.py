@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from gsfusion_nb.compare.executors import OnDask
+from gsfusion_nb.compare.executors import on_dask
 from gsfusion_nb.compare.map_scene import Entry
 from gsfusion_nb.compare.run_all import ResultStore, run_all
 from gsfusion_nb.compare.spec import MEASURED
@@ -28,10 +28,10 @@ def numbers(result):
 
 def test_a_cluster_gives_the_numbers_of_this_process(distributed, spec, tmp_path):
     entries = [Entry(spec=spec("uniform")), Entry(spec=spec("nonsense"))]
-    here = dict(run_all(entries, ResultStore(tmp_path / "a", tmp_path / "cache a")))
+    here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
     cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
-        there = dict(run_all(entries, ResultStore(tmp_path / "b", tmp_path / "cache b"), OnDask(client)))
+        there = dict(run_all(entries, ResultStore(tmp_path / "cache b"), on_dask(client)))
     assert numbers(there[0]) == numbers(here[0])
     assert there[1].reason == here[1].reason != ""
 
@@ -39,11 +39,11 @@ def test_a_cluster_gives_the_numbers_of_this_process(distributed, spec, tmp_path
 @pytest.mark.slow
 def test_a_worker_that_is_killed_changes_no_number(distributed, spec, tmp_path):
     entries = [Entry(spec=spec(rule, seed=seed)) for rule in ("uniform", "gsfusion", "dense") for seed in range(4)]
-    here = dict(run_all(entries, ResultStore(tmp_path / "a", tmp_path / "cache a")))
+    here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
     cluster = distributed.LocalCluster(n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
         victim, there = client.run(os.getpid).popitem()[1], {}
-        for i, result in run_all(entries, ResultStore(tmp_path / "b", tmp_path / "cache b"), OnDask(client)):
+        for i, result in run_all(entries, ResultStore(tmp_path / "cache b"), on_dask(client)):
             there[i] = result
             if len(there) == 2:
                 os.kill(victim, signal.SIGKILL)
@@ -90,7 +90,7 @@ def test_two_workers_with_caches_of_their_own_compute_what_this_process_computes
     distributed, spec, tmp_path, started, scheduler
 ):
     entries = [Entry(spec=spec(rule, seed=seed)) for rule in ("uniform", "gsfusion", "edge_strokes") for seed in (0, 1)]
-    here = dict(run_all(entries, ResultStore(tmp_path / "a", tmp_path / "cache a")))
+    here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
     for name in ("one", "two"):
         cache = tmp_path / f"cache of {name}"
         started(
@@ -99,11 +99,11 @@ def test_two_workers_with_caches_of_their_own_compute_what_this_process_computes
             GSFUSION_CACHE=str(cache),
             XDG_CACHE_HOME=str(cache),
         )
-    empty = ResultStore(tmp_path / "b", tmp_path / "cache b")
+    empty = ResultStore(tmp_path / "cache b")
     assert not any(file.is_file() for file in (tmp_path / "cache b").rglob("*"))
     with distributed.Client(scheduler) as client:
         client.wait_for_workers(2, timeout=120)
-        there = dict(run_all(entries, empty, OnDask(client)))
+        there = dict(run_all(entries, empty, on_dask(client)))
         assert len({*client.run(os.getpid).values(), os.getpid()}) == 3
     assert not list(tmp_path.glob("cache of */**/results/*"))  # where a copied result would have come from
     assert [there[i].reason for i in range(6)] == [""] * 6

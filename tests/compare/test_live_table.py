@@ -27,7 +27,7 @@ def specs(spec):
 
 @pytest.fixture
 def live(specs, tmp_path, cache):
-    live = LiveTable(specs, ResultStore(tmp_path, cache))
+    live = LiveTable(specs, tmp_path, store=ResultStore(cache))
     yield live
     live.close()
 
@@ -62,7 +62,7 @@ def test_the_pictures_of_a_rule(live):
 
 
 def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
-    live = LiveTable(specs, ResultStore(tmp_path, tmp_path / "cache"))  # nothing is known yet
+    live = LiveTable(specs, tmp_path, store=ResultStore(tmp_path / "cache"))  # nothing is known yet
     live.start()
     wait_for(lambda: "frame" in live._now)
     live.pause()
@@ -83,7 +83,7 @@ def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
 def test_another_table_stops_this_one_and_finds_its_results(live, specs, cache, tmp_path):
     live.run_sync(2)
     live.start()
-    again = LiveTable(specs, ResultStore(tmp_path / "other", cache))
+    again = LiveTable(specs, tmp_path / "other", store=ResultStore(cache))
     assert live.join(20)
     assert again.run_sync(2) == 2
     assert [r.map_hash for r in again.results] == [r.map_hash for r in live.results[:2]]
@@ -107,7 +107,7 @@ def test_a_stored_notebook_has_table_and_picture(live, monkeypatch):
 
 
 def test_interrupting_the_kernel_keeps_what_is_done(specs, tmp_path, monkeypatch):
-    live = LiveTable(specs[:2], ResultStore(tmp_path, tmp_path / "cache"))
+    live = LiveTable(specs[:2], tmp_path, store=ResultStore(tmp_path / "cache"))
     live.run_sync(1)
     monkeypatch.setattr(live._go, "wait", lambda: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
@@ -164,10 +164,10 @@ def test_settings_and_open_frames_of_a_notebook(specs, tmp_path, cache):
     assert [e.spec.scene for e in entries] == ["wall"] * 4
     assert entries[0].spec.config().tsdf == config.tsdf
     assert entries[1].spec.config().seed == 1
-    live = LiveTable(entries, ResultStore(tmp_path, cache))
+    live = LiveTable(entries, tmp_path, store=ResultStore(cache))
     assert live.run_sync(1) == 1
     assert repr(live) == "LiveTable(1 of 4 runs)"
     by_name = entries_of(["uniform"], [specs[0].data], seeds=[0], budgets=[Budget(steps="own")], config=config)
-    again = LiveTable(by_name, ResultStore(tmp_path / "by_name", cache))
+    again = LiveTable(by_name, tmp_path / "by_name", store=ResultStore(cache))
     again.run_sync()
     assert again.results[0].map_hash == live.results[0].map_hash

@@ -2,17 +2,13 @@
 
 import importlib
 import sys
-from pathlib import Path
 
 import pytest
 import torch
 
-import gsfusion_nb
 from gsfusion_nb.compare import Entrant
 from gsfusion_nb.compare.one_run import run_entry
 from gsfusion_nb.compare.run_all import ResultStore, run_all
-from gsfusion_nb.seeding import UndeclaredFileError, check_rule, option_values, rule_fingerprint
-from gsfusion_nb.seeding.rule_code import DeclaredFiles, load_rule_file
 
 LEARNED = '''
 import functools
@@ -72,7 +68,7 @@ def entry(spec):
 
 def test_retrained_weights_give_another_key_and_another_map(learned, entry, tmp_path):
     file, weights = learned
-    store, hashes = ResultStore(tmp_path / "out", tmp_path / "cache"), []
+    store, hashes = ResultStore(tmp_path / "cache"), []
     for bias in (0.0, -0.2):
         write_weights(weights, bias)
         ((_, result),) = run_all([entry(f"{file}:learned")], store)
@@ -100,34 +96,6 @@ def test_a_file_that_no_option_names_is_refused_in_the_lab_even_if_the_rule_catc
     result = run_entry(entry(f"{file}:undeclared"))
     assert (result.status, str(weights) in result.reason) == ("failed", True)
     assert result.reason.startswith("UndeclaredFileError")
-
-
-def test_files_of_this_package_may_be_read_where_its_folder_is_a_link(tmp_path, monkeypatch):
-    (tmp_path / "package").mkdir()
-    (tmp_path / "linked").symlink_to(tmp_path / "package")
-    for file in (tmp_path / "package/own.txt", tmp_path / "other.txt"):
-        file.write_text("text")
-    monkeypatch.setattr(gsfusion_nb, "__path__", [str(tmp_path / "linked")])
-    files = DeclaredFiles("a rule", [])
-    with files.only():
-        assert (tmp_path / "linked/own.txt").read_text() == "text"
-    with pytest.raises(UndeclaredFileError, match=r"other\.txt"), files.only():
-        (tmp_path / "other.txt").read_text()
-
-
-def test_a_network_that_is_loaded_by_a_cached_function_keeps_the_contract(learned):
-    rule = load_rule_file(f"{learned[0]}:learned")
-    before = rule_fingerprint(rule)
-    assert check_rule(rule).seeds["new"] > 0
-    assert rule_fingerprint(rule) == before
-
-
-def test_paths_and_free_texts_are_options(learned):
-    rule = load_rule_file(f"{learned[0]}:learned")
-    assert option_values(rule, {"weights": "a.pt", "where": "x"}) == {"weights": Path("a.pt"), "where": "x"}
-    for wrong in ({"weights": 3}, {"where": 3}):
-        with pytest.raises(TypeError, match=next(iter(wrong))):
-            option_values(rule, wrong)
 
 
 @pytest.mark.parametrize("how", ["import the_helper\n", "from the_helper import radius\n", ""])

@@ -131,7 +131,6 @@ def test_the_commands_share_their_results(scene, tmp_path, capsys):
         assert cli(["study", "gsfusion-settings", str(scene), *only, str(tmp_path / out)]) == 0
     rows = list(csv.DictReader((tmp_path / "c/runs.csv").read_text().splitlines()))
     assert [row["label"] for row in rows] == ["seeding.without_depth skip (both)"]
-    assert rows[0]["copied_from"]
     assert float(rows[0]["metric.psnr_held_out_online_db"]) > 5
     assert float(rows[0]["metric.fps_total"]) > 0
     assert cli(["study", "weather"]) == 1

@@ -238,10 +238,7 @@ def test_an_empty_map_says_why(tmp_path, small_room, config):
     short = replace(config, data__stop=3)
     run = run_mapping(small_room, short, folder=tmp_path / "a", seeding=nothing)
     assert "no Gaussians: the seeding rule 'nothing' proposed none for any of the" in run.run.warnings[-1]
-    run = run_mapping(Odd(small_room, set(), 1e-3), short, folder=tmp_path / "b", evaluate=False)
-    sentence = "but only depth of at least 0.4 m is used; check the depth scale"
-    assert sentence in run.run.warnings[-1]
-    assert sentence in (tmp_path / "b" / "metrics.json").read_text()
+    assert run.run.warnings[-1] in (tmp_path / "a" / "metrics.json").read_text()
 
 
 def test_pressing_twice_does_not_lose_the_map(tmp_path, small_room, config):

