@@ -109,14 +109,14 @@ _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class DiskFullError(OSError):
-    """There is no room for a file; the message names it, what it needs and what is free."""
+    """There is no room for a file; the message names it and what is free."""
 
     def __str__(self) -> str:
         return str(self.args[1])
 
 
 @contextmanager
-def atomic_file(path: str | Path, *, size_bytes: int = 0) -> Iterator[Path]:
+def atomic_file(path: str | Path) -> Iterator[Path]:
     """A temporary path to write to, which takes the place of ``path`` when the block ends without an exception.
 
     The temporary file is in the same folder (created if needed) and has the same suffix. After an exception, Ctrl-C
@@ -125,17 +125,12 @@ def atomic_file(path: str | Path, *, size_bytes: int = 0) -> Iterator[Path]:
         with atomic_file("run/map.npz") as temporary:
             np.savez(temporary, xyz=xyz)
 
-    Args:
-        path: Where the file will be.
-        size_bytes: How large it will be, where that is known: the space is checked first.
-
     Raises:
         FileNotFoundError: the block wrote nothing to the temporary path.
         DiskFullError: there is no room for the file; the previous one, if any, is unchanged.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    check_space(path, size_bytes)
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield temporary
@@ -147,7 +142,8 @@ def atomic_file(path: str | Path, *, size_bytes: int = 0) -> Iterator[Path]:
     except OSError as e:
         if not _is_full(e):
             raise
-        raise DiskFullError(e.errno or errno.ENOSPC, _no_room(path, max(size_bytes, _size(temporary)), e)) from e
+        left = f"{path} cannot be written: the disk is full, {free_space(path.parent) / 1e6:.1f} MB are free"
+        raise DiskFullError(e.errno or errno.ENOSPC, left) from e
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -158,12 +154,6 @@ def remove_partial(folder: Path) -> None:
     for path in folder.glob(".*.partial*"):
         if re.fullmatch(r"\..+\.[0-9a-f]{8}\.partial(\.\w+)?", path.name):
             path.unlink(missing_ok=True)
-
-
-def check_space(path: Path, size_bytes: int) -> None:
-    """Raise ``DiskFullError`` if a file of ``size_bytes`` does not fit beside ``path``."""
-    if size_bytes and free_space(path.parent) < size_bytes:
-        raise DiskFullError(errno.ENOSPC, _no_room(path, size_bytes, None))
 
 
 def free_space(folder: Path) -> int:
@@ -262,19 +252,6 @@ def _is_full(error: OSError) -> bool:
     return error.errno in _FULL or (
         error.errno is None and re.search(r"requested and \d+ written", str(error)) is not None
     )
-
-
-def _no_room(path: Path, size_bytes: int, error: OSError | None) -> str:
-    why = (
-        "a file may not be that large here" if error is not None and error.errno == errno.EFBIG else "the disk is full"
-    )
-    free = free_space(path.parent)
-    has = "" if free == sys.maxsize else f", {free / 1e6:.1f} MB are free"
-    return f"{path} cannot be written: {why}; it needs at least {size_bytes / 1e6:.1f} MB{has}"
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
 
 
 def _flush(file: Path) -> None:

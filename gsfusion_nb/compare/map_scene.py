@@ -227,7 +227,6 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
             "was started; start it again, and give every worker the same files"
         )
     mapper = make_mapper(config, seeding=rule, device=spec.device)
-    mapper.rule_in_use.refuse_other_files()
     used, given = flat_settings(mapper.config), flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
         if dotted(name) not in used:  # keyframe_every in a system that chooses its keyframes by motion

@@ -51,8 +51,8 @@ EQUAL_KEYFRAME_EVERY = 4
 SCHEDULE = frozenset({
     "keyframe_every", "keyframe_min_seeds", "keep_all_frames", "optim.keyframe_iterations", "optim.frame_iterations",
     "optim.random_keyframe_iterations", "optim.global_iterations", "window.iterations", "window.every_frames",
-    "window.frames", "keyframes.iterations", "keyframes.rotation_deg", "keyframes.translation_m", "keyframes.latest",
-    "keyframes.random", "keyframes.instead_of_window", "final.passes",
+    "window.frames", "keyframes.iterations", "keyframes.latest", "keyframes.random",
+    "keyframes.instead_of_window", "final.passes",
 })  # fmt: skip
 """Settings of any system that decide how many gradient steps are taken when. No rule may bring its own."""
 _PER_FRAME = ("optim.keyframe_iterations", "optim.frame_iterations", "optim.random_keyframe_iterations")

@@ -130,8 +130,8 @@ STUDIES: dict[str, Study] = {
         "RTG-SLAM's tracker: the surface it aligns to, and the back end", {
             "hybrid (released code)": {},
             "model (paper)": {"tracking.target": "model"},
-            "hybrid, without landmarks": {"tracking.landmarks.enabled": False},
-            "hybrid, back end": {"tracking.back_end.enabled": True},
+            "hybrid, without landmarks": {"tracking.landmarks": False},
+            "hybrid, back end": {"tracking.back_end": True},
         }, {**_RTG, **_TRACKED},
     ),
     "table-iv": Study(

@@ -77,7 +77,7 @@ def write_map_glb(path: str | Path, gaussians: GaussianParams, mesh: Mesh | None
     text += b" " * (-len(text) % 4)
     chunk = struct.pack("<I4s", arrays.size, b"BIN\0") if arrays.size else b""
     total = 12 + 8 + len(text) + len(chunk) + arrays.size
-    with atomic_file(path, size_bytes=total) as temporary, temporary.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         file.write(struct.pack("<4sII", b"glTF", 2, total) + struct.pack("<I4s", len(text), b"JSON") + text + chunk)
         for part in arrays.parts:
             file.write(part)

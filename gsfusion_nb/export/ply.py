@@ -57,7 +57,7 @@ def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
     ]
     table = torch.cat([c.detach().to("cpu", torch.float32) for c in columns], dim=1).contiguous().numpy()
     rows = table.astype("<f4", copy=False).view([(name, "<f4") for name in _NAMES]).reshape(n)
-    with atomic_file(path, size_bytes=table.nbytes) as temporary:
+    with atomic_file(path) as temporary:
         PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<").write(str(temporary))
 
 
@@ -144,8 +144,7 @@ def write_mesh_ply(path: str | Path, mesh: Mesh) -> None:
         "property list uchar int vertex_indices",
         "end_header",
     ]
-    size = vertices.nbytes + faces.nbytes
-    with atomic_file(path, size_bytes=size) as temporary, temporary.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         file.write("\n".join([*header, ""]).encode("ascii"))
         file.write(vertices.tobytes())
         file.write(faces.tobytes())

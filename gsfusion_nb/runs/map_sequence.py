@@ -395,8 +395,7 @@ def _why_empty(run: MappingRun) -> str:
 
 def _describe_full(mapper: Mapper) -> str:
     """A sentence that says what fills the memory, and which settings need less."""
-    holds = [f"{part.count:,} {part.name} ({part.size_bytes / 1e6:.0f} MB)" for part in mapper.parts()]
     less = ["smaller images (data.width)", *mapper.memory_savers]
     if mapper.config.keyframes_on == "device":
         less.append("keyframes in CPU memory (keyframes_on = 'cpu')")
-    return f"the memory of {mapper.device} is full: it holds {', '.join(holds)}; try {', '.join(less)}"
+    return f"the memory of {mapper.device} is full of {mapper!r}; try {', '.join(less)}"

@@ -29,7 +29,6 @@ from ..evaluation import (
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import write_file
-from ..mapping import Mapper
 from ..mapping.step import StepReport
 from ..seeding import is_built_in, rule_name, rule_source
 from ..seeding.rule_code import file_source
@@ -84,9 +83,8 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     try:
         mesh = run.mapper.mesh()
     except torch.OutOfMemoryError as e:
-        mesh = _mesh_when_full(run.mapper)
-        where = "extracted on the CPU" if len(mesh.faces) else "not extracted"
-        run.warnings.append(f"the mesh was {where}, because GPU memory was full: {str(e).splitlines()[0]}")
+        mesh = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3))
+        run.warnings.append(f"no mesh was made, because GPU memory was full: {str(e).splitlines()[0]}")
     run.hashes = map_hashes(run, mesh)
     settings = {
         "gsfusion_nb": __version__,
@@ -133,15 +131,6 @@ def hash_of(tensors: Mapping[str, Tensor]) -> str:
     return digest.hexdigest()
 
 
-def _mesh_when_full(mapper: Mapper) -> Mesh:
-    """The mesh, extracted on the CPU; empty if the system cannot do that."""
-    if mapper.device.type == "cuda":
-        torch.cuda.empty_cache()
-    return mapper.mesh_on_cpu() or Mesh(
-        vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3)
-    )
-
-
 def write_rule(run: MappingRun, folder: Path) -> None:
     """Write the source of a seeding rule that is not part of the package; it is needed to repeat the run.
 
@@ -183,9 +172,8 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         f"{len(run.steps)} frames",
         f"SH degree {config.sh_degree}",
         *(f"{kind} {name}" for kind, name in run.mapper.training.names.items()),
+        f"rule {rule_name(run.mapper.rule)}",
     ]
-    if run.mapper.uses_seeding_rule:
-        about.append(f"rule {rule_name(run.mapper.rule)}{run.mapper.rule_in_use.memory_note}")
     data = ReportData(
         title=f"{run.mapper.title} on {run.sequence.name}",
         subtitle=", ".join([*about, f"fidelity {fidelity}"] if fidelity else about),

@@ -277,18 +277,9 @@ def _run_folder(root: Path, takes) -> list[Seed]:
     ]
 
 
-TRACKED = {
-    "tracking__poses": "tracked",
-    "tracking__back_end__keyframe_rotation_deg": 1.0,
-    "tracking__back_end__enabled": True,
-}
 INTERRUPTED = (
     ("interrupted", "gsfusion", {}, 2),
-    ("interrupted_passes", "gsfusion", {}, 4),
-    ("interrupted_rtg", "rtg_slam", {}, 2),
-    ("interrupted_rtg_passes", "rtg_slam", {}, 4),
-    ("interrupted_tracked", "rtg_slam", TRACKED, 2),
-    ("interrupted_lost", "gsfusion", TRACKED | {"tracking__back_end__enabled": False}, 2),
+    ("interrupted_tracked", "rtg_slam", {"tracking__poses": "tracked", "tracking__back_end": True}, 2),
     ("interrupted_stream", "gsfusion", {}, 2),
 )
 """Name, system, settings, and the steps after which the run was cut off; there are three frames."""
@@ -306,7 +297,7 @@ def _interrupted(root: Path, name: str, system: str, values: dict, n_steps: int)
         values |= {"seeding__quadtree_contrast": "std", "seeding__quadtree_threshold": 0.03}
         config = gsfusion("replica", **values)
     else:
-        values |= {"window__iterations": 2, "final__passes": 2, "keyframes__rotation_deg": 1.0}
+        values |= {"window__iterations": 2, "final__passes": 2}
         config = rtg_slam("replica", **values)
     sequence = open_sequence(root / "scan", data=config.data)
     if name.endswith("stream"):

@@ -32,13 +32,6 @@ def learned(ctx: SeedContext, *, weights: Path = Path("{place}"), where: str = "
     score = network(weights)(ctx.frame.rgb.permute(2, 0, 1)[None])[0, 0]
     return ctx.seeds_at(ctx.pixels(score > 0), 1.0)
 
-
-def undeclared(ctx: SeedContext) -> Seeds:
-    try:
-        torch.load("{place}", weights_only=True)
-    except ValueError:
-        pass
-    return ctx.seeds_at(ctx.pixels()[::9], 1.0)
 '''
 HELPER = "SCALE = {scale}\n\n\ndef radius():\n    return SCALE\n"
 
@@ -91,23 +84,13 @@ def test_weights_that_change_after_the_key_was_made_fail_the_run(learned, entry)
         entry(f"{file}:learned")
 
 
-def test_a_file_that_no_option_names_is_refused_in_the_lab_even_if_the_rule_catches_the_error(learned, entry):
-    file, weights = learned
-    result = run_entry(entry(f"{file}:undeclared"))
-    assert (result.status, str(weights) in result.reason) == ("failed", True)
-    assert result.reason.startswith("UndeclaredFileError")
-
-
-@pytest.mark.parametrize("how", ["import the_helper\n", "from the_helper import radius\n", ""])
+@pytest.mark.parametrize("how", ["import the_helper\n", "from the_helper import radius\n"])
 def test_a_helper_module_is_part_of_the_key(how, entry, tmp_path, monkeypatch):
     call = "radius()" if "from" in how else "the_helper.radius()"
-    inside = "" if how else "    import the_helper\n"
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "the_helper", raising=False)
     file, helper, keys = tmp_path / "rule.py", tmp_path / "the_helper.py", []
-    file.write_text(
-        f"{how}\n\ndef helped(ctx):\n{inside}    return ctx.seeds_at(ctx.pixels()[::7], {call})  # {how!r}\n"
-    )
+    file.write_text(f"{how}\n\ndef helped(ctx):\n    return ctx.seeds_at(ctx.pixels()[::7], {call})  # {how!r}\n")
     for scale in (1.5, 22.5):
         helper.write_text(HELPER.format(scale=scale))
         importlib.invalidate_caches()

@@ -83,7 +83,7 @@ def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path,
     write_gaussians = outputs.write_gaussian_ply
 
     def full(path, params):
-        raise DiskFullError(errno.ENOSPC, f"{path} cannot be written: the disk is full; it needs at least 9.9 MB")
+        raise DiskFullError(errno.ENOSPC, f"{path} cannot be written: the disk is full")
 
     monkeypatch.setattr(outputs, "write_gaussian_ply", full)
     with pytest.raises(DiskFullError, match=r"gaussians\.ply cannot be written: the disk is full") as failure:
@@ -114,9 +114,7 @@ def test_a_disk_that_is_really_full(small_disk, config, caplog, whole_run):
     every = CheckpointEvery(seconds=0, frames=3)
     filler = small_disk / "filler"
     filler.write_bytes(bytes(2_600_000))
-    with pytest.raises(
-        DiskFullError, match=r"cannot be written: the disk is full; it needs at least \d\.\d MB"
-    ) as full:
+    with pytest.raises(DiskFullError, match=r"cannot be written: the disk is full") as full:
         run_mapping("room", config, folder=small_disk / "out", evaluate=False, checkpoints=every, **SMALL)
     assert str(small_disk) in str(full.value)
     assert "this checkpoint could not be saved" in caplog.text

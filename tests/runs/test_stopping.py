@@ -117,9 +117,7 @@ def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes
 ):
     """RTG-SLAM takes many steps for a frame. The first frame is mapped to its end, so that there is a map."""
     data: dict[str, Any] = {"data__width": 32, "data__height": 24, "data__stop": 5, "data__hold_out_every": 0}
-    config = rtg_slam(
-        "room", window__every_frames=1, window__iterations=6, final__passes=1, mesh__voxel_size_m=0.1, **data
-    )
+    config = rtg_slam("room", window__every_frames=1, window__iterations=6, final__passes=1, mesh_voxel_m=0.1, **data)
     may_stop, looks = FrameGuard.may_stop, []
 
     def stopped(guard):

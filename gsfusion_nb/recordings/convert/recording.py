@@ -108,7 +108,7 @@ class RecordedFrame:
     """One frame of a recording.
 
     Raises:
-        SequenceError: an impossible camera (``gsfusion_nb.operands``).
+        SequenceError: an impossible camera (``gsfusion_nb.geometry.operands``).
     """
 
     source: str
@@ -140,7 +140,7 @@ class Recording:
     """A recording in a foreign format.
 
     Raises:
-        SequenceError: an impossible depth scale (``gsfusion_nb.operands``).
+        SequenceError: an impossible depth scale (``gsfusion_nb.geometry.operands``).
     """
 
     name: str
