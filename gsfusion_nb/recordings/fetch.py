@@ -27,12 +27,6 @@ WORK = ".fetch"
 """Folder for downloads and unfinished data sets, in the folder of all data sets."""
 SOURCE = "source.json"
 """In each data set: the files that it was made from, and its licence."""
-LONGEST_HEADER_BYTES = 1 << 20
-"""Limit for a header of a tar archive: tarfile holds it in memory, and a small gzipped file can have gigabytes."""
-_IN_MEMORY = (
-    tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK, tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.SOLARIS_XHDTYPE
-)  # fmt: skip
-"""Kinds of tar headers with long names and other text."""
 ATTEMPTS = 5
 """Downloads of a file before one gives up."""
 TIMEOUT_S = 60.0
@@ -210,22 +204,20 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name, m
     """
     count, left = 0, max_bytes
     try:
-        for name, source in _members(archive):
+        for name, size, source in _members(archive):
             path = choose(name)
             if path is None:
                 continue
             if PurePosixPath(path).is_absolute() or ".." in PurePosixPath(path).parts or "\\" in path or ":" in path:
                 raise ArchiveError(f"{archive.name} holds {shown(name)}, which is outside of the target folder")
+            left -= size
+            if left < 0:
+                raise ArchiveError(
+                    f"{archive.name} unpacks to more than {size_text(max_bytes)}, too much for this data set"
+                )
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             with (folder / path).open("xb") as file:
-                while block := source.read(1 << 20):
-                    left -= len(block)
-                    if left < 0:
-                        raise ArchiveError(
-                            f"{archive.name} unpacks to more than {size_text(max_bytes)} at {shown(name)}, too much "
-                            "for this data set"
-                        )
-                    file.write(block)
+                shutil.copyfileobj(source, file)
             count += 1
     except FileExistsError as e:
         raise ArchiveError(f"{archive.name} holds two files for {shown(e.filename)}") from None
@@ -244,33 +236,22 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name, m
     return count
 
 
-class _Member(tarfile.TarInfo):
-    """A header of a tar archive; one that holds a long name, which tarfile reads into memory, is limited."""
-
-    @classmethod
-    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> "_Member":
-        found = super().frombuf(buf, encoding, errors)
-        if found.type in _IN_MEMORY and found.size > LONGEST_HEADER_BYTES:
-            raise ArchiveError(f"the archive holds a header of {size_text(found.size)}; it may be a decompression bomb")
-        return found
-
-
-def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
-    """Path and content of each regular file; links and devices are left out."""
+def _members(archive: Path) -> Iterator[tuple[str, int, IO[bytes]]]:
+    """Path, size and content of each regular file; links and devices are left out."""
     with open_regular(archive, "an archive") as opened:
         if zipfile.is_zipfile(opened):
             with zipfile.ZipFile(opened) as zipped:
                 for info in zipped.infolist():
                     if not info.is_dir() and stat.S_IFMT(info.external_attr >> 16) in (0, stat.S_IFREG):
-                        with zipped.open(info) as source:
-                            yield info.filename, source
+                        with zipped.open(info) as source:  # which gives no more than file_size
+                            yield info.filename, info.file_size, source
             return
         opened.seek(0)
-        with tarfile.open(fileobj=opened, mode="r|*", tarinfo=_Member) as tar:
+        with tarfile.open(fileobj=opened, mode="r|*") as tar:
             for member in tar:
                 source = tar.extractfile(member) if member.isreg() else None
                 if source is not None:
-                    yield member.name, source
+                    yield member.name, member.size, source
 
 
 def _write_source(plan: Plan, files: list[tuple[Item, Path]], folder: Path) -> None:

@@ -1,7 +1,7 @@
 """Any change in what a run reads changes the fingerprint, also in the middle of a file and behind a link."""
 
-import importlib.util
 import os
+import runpy
 import shutil
 from pathlib import Path
 
@@ -65,11 +65,8 @@ def test_every_file_that_a_reader_opens_is_noted(tmp_path, layout, scene, box):
     """Also those beside or above the folder, such as the camera of all scenes of Replica."""
     root = scene
     if layout != "folder":
-        spec = importlib.util.spec_from_file_location("written", READERS / f"test_{layout}.py")
-        tests = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(tests)
         root = tmp_path / "data/scene"
-        tests.write(root, box)
+        runpy.run_path(str(READERS / f"test_{layout}.py"))["write"](root, box)
     with noting_files() as opened:
         sequence = open_sequence(root, format=layout)
         assert [frame.index for frame in sequence.mapping] != []

@@ -96,7 +96,6 @@ def tum(
         rgb_files=[rgb_files[c] for _, _, c, _ in posed],
         depth_files=[depth_files[d] for _, d, _, _ in posed],
         timestamps_s=[t for t, *_ in posed],
-        stamps_apart_s=sum(abs(t - rgb_s[c]) for t, _, c, _ in posed) / len(posed),
         poses=T_WC,
         has_poses=poses,
         pose_sources=[f"{root / 'groundtruth.txt'} at {t:.6f} s" for t, *_ in posed],

@@ -50,8 +50,6 @@ class RecordedSequence:
     """Applied to every pair of images (undistortion, registration)."""
     fit_sizes: bool = False
     """Resize colour images of another size than the camera's instead of refusing them."""
-    stamps_apart_s: float = 0.0
-    """Mean difference of the times of a frame's colour and depth image, as recorded."""
     no_times: str = ""
     """Why the recording has no times; ``timestamps_s`` then only count the frames."""
     has_poses: bool = True

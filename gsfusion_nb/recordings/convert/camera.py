@@ -1,7 +1,7 @@
 """Camera intrinsics from numbers, matrices and JSON; and converting images to the one camera of a sequence."""
 
 import math
-from collections import OrderedDict
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -107,8 +107,8 @@ def model_of_object(values: dict[str, Any], size: tuple[int, int] | None, source
     return model_of([checked[k] for k in ("fx", "fy", "cx", "cy")], size, source, centre=centre, distortion=distortion)
 
 
-_KEPT_MAPS = 4
-"""Pixel maps kept; a recording with another focal length in every frame makes as many maps as frames."""
+_map = lru_cache(maxsize=4)(pixel_map)
+"""A recording with another focal length in every frame makes as many maps as frames; few are kept."""
 
 
 class Rectifier:
@@ -121,7 +121,6 @@ class Rectifier:
     def __init__(self, camera: Camera, *, along_ray: bool = False):
         self.camera = camera
         self._along_ray = along_ray
-        self._maps: OrderedDict[tuple[CameraModel, Camera], tuple[np.ndarray, np.ndarray]] = OrderedDict()
 
     def __call__(self, frame: RecordedFrame, model: CameraModel, images: RgbdImages) -> RgbdImages:
         """The images of ``frame``, taken by ``model``. ``encoded`` is empty unless colour is unchanged."""
@@ -136,7 +135,7 @@ class Rectifier:
 
         native = self.camera.resized(model.camera.width, model.camera.height)
         if not same_rays(model, native):
-            rgb = cv2.remap(rgb, *self._map(model, native), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            rgb = cv2.remap(rgb, *_map(model, native), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return resize_colour(rgb, self.camera.width, self.camera.height)
 
     def _depth(self, depth_m: np.ndarray, colour: CameraModel, frame: RecordedFrame) -> np.ndarray:
@@ -158,17 +157,8 @@ class Rectifier:
 
         if same_rays(model, camera):
             return depth_m
-        u, v = self._map(model, camera)
+        u, v = _map(model, camera)
         return cv2.remap(depth_m, u - np.float32(TIE), v - np.float32(TIE), cv2.INTER_NEAREST, borderValue=0)
-
-    def _map(self, model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-        key = (model, camera)
-        if key not in self._maps:
-            self._maps[key] = pixel_map(model, camera)
-        self._maps.move_to_end(key)
-        while len(self._maps) > _KEPT_MAPS:
-            self._maps.popitem(last=False)
-        return self._maps[key]
 
 
 def output_camera(model: CameraModel, width: int, height: int) -> Camera:

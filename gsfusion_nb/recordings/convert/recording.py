@@ -1,7 +1,6 @@
 """What a reader of a foreign format takes and returns: options, frames, and images that are decoded on request."""
 
 import io
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,8 +28,6 @@ class RosOptions:
     """Depth images (16UC1 in millimetres, 32FC1 in metres, or compressedDepth)."""
     pose_topic: str = ""
     """PoseStamped, PoseWithCovarianceStamped, TransformStamped or Odometry; "tf" takes the transform tree."""
-    camera_info_topic: str = ""
-    """Calibration of the colour camera; found beside the colour topic by default."""
     world_frame: str = ""
     """World frame in the transform tree; its root by default."""
 
@@ -61,9 +58,6 @@ class ConvertOptions:
     depth_scale: float = 0.0
     """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; TUM-style folders:
     inferred from names, depths and poses, or asked for."""
-    depth_along: Literal["auto", "z", "ray"] = "auto"
-    """Whether depth is measured along the optical axis ("z") or along the ray of each pixel ("ray"); "auto": as usual
-    in the format."""
     intrinsics: str = ""
     """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", or a file with these
     numbers, a matrix, or JSON."""
@@ -227,16 +221,8 @@ def find_depth(folder: Path, stem: str) -> Path:
 
 
 def _numpy_array(path: Path) -> np.ndarray:
-    what = "a NumPy array of depth"
-    data = io.BytesIO(read_image_bytes(path, "depth"))
-    with parsing(path, what, BadFrameError):
-        version = np.lib.format.read_magic(data)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(data, max_header_size=10_000)
-        if dtype.itemsize * math.prod(shape) > len(data.getbuffer()):
-            raise BadFrameError(f"{path} claims an array {list(shape)} of {dtype}, more than it holds; expected {what}")
-        data.seek(0)
-        array = np.squeeze(np.load(data, allow_pickle=False))
+    with parsing(path, "a NumPy array of depth", BadFrameError):
+        array = np.squeeze(np.load(io.BytesIO(read_image_bytes(path, "depth")), allow_pickle=False))
     if array.ndim != 2 or array.dtype.kind not in "fu":
         raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
     return array

@@ -2,8 +2,7 @@
 
 Files of the licensed copy that are read, ``<scene>/``:
 
-    dslr/nerfstudio/transforms.json           with dslr/resized_images/: a fisheye camera; or
-    dslr/nerfstudio/transforms_undistorted.json   with dslr/resized_undistorted_images/ (or undistorted_images/)
+    dslr/nerfstudio/transforms.json           with dslr/resized_images/: a fisheye camera
     dslr/train_test_lists.json
     scans/mesh_aligned_0.05.ply
 
@@ -12,11 +11,7 @@ Depth is that of the mesh at the pinhole's own rays: no depth image is undistort
 
 import dataclasses
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -42,57 +37,6 @@ _FARTHEST_M = 65.535
 """Of 16-bit millimetres."""
 
 
-@dataclass(frozen=True)
-class Photographs:
-    """Where the pictures are, and how they are converted to those of a pinhole camera."""
-
-    folder: Path
-    file: Path
-    """The transforms file."""
-    values: dict[str, Any]
-    """Its content."""
-    camera: Camera
-    """The pinhole camera at half size."""
-    turn: Callable[[np.ndarray], np.ndarray]
-
-    @staticmethod
-    def find(scene: Path) -> "Photographs":
-        """Photographs of a copy of a scene. Raises ``FetchError`` if it has neither kind."""
-        dslr = scene / "dslr"
-        fisheye, pinhole = (dslr / f"nerfstudio/transforms{end}.json" for end in ("", "_undistorted"))
-        if fisheye.is_file() and (dslr / "resized_images").is_dir():
-            values = read_object(fisheye, "nerfstudio transforms")
-            if values.get("camera_model") != "OPENCV_FISHEYE":
-                raise FetchError(f"{fisheye} describes a {values.get('camera_model')} camera; expected OPENCV_FISHEYE")
-            k1, k2, k3, k4 = (number(values, f"k{i}", 0.0, fisheye) for i in range(1, 5))
-            lens = CameraModel(read_camera(values, _KEYS, fisheye, shift=0.0), (k1, k2, k3, k4), fisheye=True)
-            try:
-                half = HalfSizePinhole(lens)
-            except ValueError as e:
-                raise FetchError(f"{fisheye}: {e}") from None
-            return Photographs(dslr / "resized_images", fisheye, values, half.camera, half)
-        for name in ("resized_undistorted_images", "undistorted_images"):
-            if pinhole.is_file() and (dslr / name).is_dir():
-                values = read_object(pinhole, "nerfstudio transforms")
-                camera = half_size(read_camera(values, _KEYS, pinhole, shift=0.0))
-                return Photographs(dslr / name, pinhole, values, camera, partial(shrink, camera=camera))
-        raise FetchError(
-            f"{dslr} holds neither nerfstudio/transforms.json with resized_images/ nor "
-            "nerfstudio/transforms_undistorted.json with resized_undistorted_images/; expected a scene of ScanNet++"
-        )
-
-    def poses(self) -> dict[str, Float[Tensor, "4 4"]]:
-        """Camera-to-world, OpenCV axes, in the world frame of the file, by picture name."""
-        return {name: T @ GL_TO_CV for name, T in frame_matrices(self.values, self.file).items()}
-
-    def transforms(self) -> dict[str, Any]:
-        """Content of ``transforms_undistorted_2.json``: the unchanged frames and the pinhole's intrinsics."""
-        c = self.camera
-        kept = {key: self.values[key] for key in ("frames", "test_frames") if key in self.values}
-        numbers = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height}
-        return numbers | {"camera_model": "PINHOLE"} | kept
-
-
 class HalfSizePinhole:
     """Converts pictures of a fisheye lens to pinhole pictures at half the resolution.
 
@@ -104,25 +48,14 @@ class HalfSizePinhole:
         pinhole = lens.pinhole()
         full = dataclasses.replace(pinhole, cx=pinhole.width / 2, cy=pinhole.height / 2)
         self._map = pixel_map(lens, full)
-        self.camera = half_size(full)
+        self.camera = full.resized(full.width // 2, full.height // 2)
 
     def __call__(self, picture: np.ndarray) -> np.ndarray:
         """The picture as ``camera`` sees it. [H, W, 3] -> [H/2, W/2, 3], uint8"""
         import cv2
 
-        return shrink(cv2.remap(picture, *self._map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), self.camera)
-
-
-def half_size(camera: Camera) -> Camera:
-    """The same view with half the pixels in each direction."""
-    return camera.resized(camera.width // 2, camera.height // 2)
-
-
-def shrink(picture: np.ndarray, camera: Camera) -> np.ndarray:
-    """A picture averaged down to the size of ``camera``."""
-    import cv2
-
-    return cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        straight = cv2.remap(picture, *self._map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return cv2.resize(straight, (self.camera.width, self.camera.height), interpolation=cv2.INTER_AREA)
 
 
 def listed_pictures(scene: Path) -> list[str]:
@@ -152,21 +85,32 @@ def prepare_scene(scene: Path, mesh: Mesh, folder: Path) -> None:
     Raises:
         FetchError: a part of the scene is missing. SequenceError: a file of it is damaged.
     """
-    pictures, names = Photographs.find(scene), listed_pictures(scene)
-    poses = pictures.poses()
-    turned = mesh_in_transforms_world(mesh)
+    dslr, names = scene / "dslr", listed_pictures(scene)
+    file = dslr / "nerfstudio/transforms.json"
+    if not file.is_file() or not (dslr / "resized_images").is_dir():
+        raise FetchError(f"{dslr} lacks nerfstudio/transforms.json or resized_images/; expected a scene of ScanNet++")
+    values = read_object(file, "nerfstudio transforms")
+    if values.get("camera_model") != "OPENCV_FISHEYE":
+        raise FetchError(f"{file} describes a {values.get('camera_model')} camera; expected OPENCV_FISHEYE")
+    k1, k2, k3, k4 = (number(values, f"k{i}", 0.0, file) for i in range(1, 5))
+    try:
+        half = HalfSizePinhole(CameraModel(read_camera(values, _KEYS, file, shift=0.0), (k1, k2, k3, k4), fisheye=True))
+    except ValueError as e:
+        raise FetchError(f"{file}: {e}") from None
+    poses = {name: T @ GL_TO_CV for name, T in frame_matrices(values, file).items()}
+    turned, c = mesh_in_transforms_world(mesh), half.camera
     with ProgressDisplay("rendering", total=len(names), unit="picture") as display:
         for name in display.over(names):
             if name not in poses:
-                raise FetchError(
-                    f"{scene}: the transforms file has no pose for {name}; expected one for every listed picture"
-                )
-            picture = folder / "dslr/undistorted_images_2" / name
+                raise FetchError(f"{file} has no pose for {name}; expected one for every listed picture")
+            write_rgb(folder / "dslr/undistorted_images_2" / name, half(read_rgb(dslr / "resized_images" / name)))
+            depth_m = mesh_depth(turned.vertices_W, turned.faces, c, poses[name])
             depth = folder / "dslr/undistorted_depths_2" / f"{Path(name).stem}.png"
-            write_rgb(picture, pictures.turn(read_rgb(pictures.folder / name)))
-            depth_m = mesh_depth(turned.vertices_W, turned.faces, pictures.camera, poses[name])
             write_depth(depth, depth_m.where(depth_m < _FARTHEST_M, 0.0).numpy(), 1000.0)
-    write_file(folder / "dslr/nerfstudio/transforms_undistorted_2.json", json.dumps(pictures.transforms(), indent=1))
+    kept = {key: values[key] for key in ("frames", "test_frames") if key in values}
+    numbers = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height}
+    transforms = numbers | {"camera_model": "PINHOLE"} | kept
+    write_file(folder / "dslr/nerfstudio/transforms_undistorted_2.json", json.dumps(transforms, indent=1))
     write_file(folder / "dslr/train_test_lists.json", read_bytes(scene / "dslr/train_test_lists.json", "the lists"))
 
 

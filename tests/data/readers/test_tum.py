@@ -13,7 +13,6 @@ from gsfusion_nb.data.readers import tum
 from gsfusion_nb.data.readers.tum import LENSES
 from gsfusion_nb.data.recorded.poses import interpolate_rows
 from gsfusion_nb.geometry import quaternion
-from gsfusion_nb.recordings.checkup.stored_values import time_stamps
 from gsfusion_nb.types import Camera
 
 T0 = 1305031102.0
@@ -48,8 +47,6 @@ def test_reads_what_was_written(tmp_path, box):
     seq = tum(write(tmp_path / "scan", box), camera=box.camera)
     assert len(seq) == 4
     assert seq.camera == box.camera
-    assert seq.stamps_apart_s == pytest.approx(0.012, abs=1e-5)
-    assert "30 frames per second; colour and depth have times 12.0 ms apart." in time_stamps(seq)[0].sentence
     for i, frame in enumerate(seq):
         t = 0.1 + i / 30
         assert frame.timestamp_s == pytest.approx(T0 + t, abs=1e-5)  # the depth image's time

@@ -7,10 +7,10 @@ from gsfusion_nb.data import SequenceError
 from gsfusion_nb.recordings.convert.depth_unit import find_depth_unit
 
 
-def depths(near_m, far_m, scale, step=1):
-    """A depth image from ``near_m`` to ``far_m`` as stored, in multiples of ``step``."""
+def depths(near_m, far_m, scale):
+    """A depth image from ``near_m`` to ``far_m`` as stored."""
     values = np.linspace(near_m, far_m, 4096) * scale
-    return [(np.rint(values / step) * step).astype(np.uint16).astype(np.float32).reshape(64, 64)]
+    return [np.rint(values).astype(np.uint16).astype(np.float32).reshape(64, 64)]
 
 
 @pytest.fixture
@@ -26,23 +26,28 @@ def folder(tmp_path):
 
 
 def test_the_range_decides_where_only_one_unit_gives_plausible_depths(folder):
-    found = find_depth_unit(folder("scan"), depths(0.6, 2.0, 1000))
-    assert found.scale == 1000
-    assert "with 5000 the depths are 0.12 to 0.39 m, median 0.26 m, which is not plausible" in found.sentence
+    assert find_depth_unit(folder("scan"), depths(0.6, 2.0, 1000)).scale == 1000
     assert find_depth_unit(folder("other"), depths(1.0, 4.0, 5000)).scale == 5000
 
 
-def test_what_the_range_leaves_open_is_asked_for(folder):
+@pytest.mark.parametrize(
+    ("name", "note", "scale"),
+    [
+        ("realsense_desk", "", 1000),
+        ("a", "Recorded by an Azure Kinect", 1000),
+        ("rgbd_dataset_freiburg1_x", "", 5000),
+        ("b", "DepthMapFactor: 1000.0", 1000),
+        ("c", '"depth_scale": 0.001', 1000),
+    ],
+)
+def test_what_the_range_leaves_open_other_evidence_decides(folder, name, note, scale):
     unclear = depths(2.0, 4.5, 1000)  # or 0.4 to 0.9 m with 5000
-    with pytest.raises(SequenceError, match=r"unit of depth cannot be known .*1000 .*5000 .*give --depth-scale"):
-        find_depth_unit(folder("scan"), unclear)
-    assert find_depth_unit(folder("realsense_desk"), unclear).scale == 1000
-    assert find_depth_unit(folder("a", "Recorded by an Azure Kinect"), unclear).scale == 1000
-    assert find_depth_unit(folder("rgbd_dataset_freiburg1_x"), unclear).scale == 5000
-    assert find_depth_unit(folder("b", "DepthMapFactor: 1000.0"), unclear).scale == 1000
-    assert find_depth_unit(folder("c", '"depth_scale": 0.001'), unclear).scale == 1000
-    assert find_depth_unit(folder("d"), unclear, {1000.0: 0.7, 5000.0: 0.2}).scale == 1000
-    assert find_depth_unit(folder("e"), depths(2.0, 4.5, 1000, step=5)).scale == 5000
+    assert find_depth_unit(folder(name, note), unclear).scale == scale
+
+
+def test_what_nothing_decides_is_asked_for(folder):
+    with pytest.raises(SequenceError, match="give --depth-scale"):
+        find_depth_unit(folder("scan"), depths(2.0, 4.5, 1000))
 
 
 def test_no_plausible_unit_is_asked_for(folder):

@@ -86,26 +86,6 @@ def test_fisheye_scene(tmp_path, box):
     check(sequence, box)
 
 
-def test_undistorted_scene(tmp_path, box):
-    """A copy with the toolbox's pinhole pictures at full size."""
-    scene = write_copy(tmp_path / "scene", box)
-    full = Camera(width=192, height=128, fx=80.0, fy=81.0, cx=96.0, cy=64.0)
-    values = json.loads((scene / "dslr/nerfstudio/transforms.json").read_text())
-    values |= {"fl_x": 80.0, "fl_y": 81.0, "cx": 96.0, "cy": 64.0, "camera_model": "PINHOLE"}
-    (scene / "dslr/nerfstudio/transforms_undistorted.json").write_text(json.dumps(values))
-    (scene / "dslr/nerfstudio/transforms.json").unlink()
-    for name in NAMES:
-        rgb, _ = box.render(box.poses(9)[2 * int(name[3:8])], full)
-        (scene / "dslr/resized_undistorted_images").mkdir(exist_ok=True)
-        cv2.imwrite(
-            str(scene / "dslr/resized_undistorted_images" / name), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98]
-        )
-    prepare_scene(scene, box_mesh(), tmp_path / "new")
-    sequence = scannetpp(tmp_path / "new")
-    assert sequence.camera == Camera(width=96, height=64, fx=40.0, fy=40.5, cx=48.0, cy=32.0)
-    check(sequence, box)
-
-
 def test_the_mesh_is_turned_not_mirrored():
     mesh = Mesh(vertices_W=torch.eye(3), faces=torch.tensor([[0, 1, 2]]), rgb=torch.zeros(3, 3))
     R = mesh_in_transforms_world(mesh).vertices_W.T

@@ -6,7 +6,6 @@ axes (OpenGL: y up, z backward). Intrinsics are column-major ``K``, or fx fy cx 
 the corner of the image.
 """
 
-import ctypes
 import re
 import struct
 import zipfile
@@ -21,7 +20,7 @@ from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import number, table
-from ....data.recorded.images import MAX_PIXELS, read_image_bytes
+from ....data.recorded.images import read_image_bytes
 from ....data.recorded.poses import GL_TO_CV, matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
@@ -89,11 +88,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     )
 
 
-def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> bytes:
-    """Content of an LZFSE stream of at most ``at_most`` bytes; uncompressed blocks need no library.
-
-    The function ``decompress`` of pyliblzfse has no limit, so the decoder inside it is called. Only where it cannot be
-    reached, because the library exports no names (Windows), is there no limit.
+def lzfse_unpacked(data: bytes, source: str) -> bytes:
+    """Content of an LZFSE stream; uncompressed blocks need no library.
 
     Raises:
         SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError: it is damaged.
@@ -113,24 +109,12 @@ def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> b
         raise SequenceError(
             f"{source} is packed with Apple's LZFSE, which needs the package pyliblzfse: pip install pyliblzfse"
         ) from None
-    try:
-        decode = ctypes.CDLL(liblzfse.__file__).lzfse_decode_buffer
-    except (AttributeError, OSError):
-        with parsing(source, "an LZFSE stream", BadFrameError):
-            return liblzfse.decompress(data)
-    decode.restype = ctypes.c_size_t
-    content = np.empty(at_most + 1, np.uint8)  # takes no memory before it is written
-    room = content.ctypes.data_as(ctypes.c_void_p)
-    n = decode(room, ctypes.c_size_t(at_most + 1), data, ctypes.c_size_t(len(data)), None)
-    if not 0 < n <= at_most:
-        raise BadFrameError(f"{source} is damaged, or unpacks to more than {at_most} bytes; expected an LZFSE stream")
-    return content[:n].tobytes()
+    with parsing(source, "an LZFSE stream", BadFrameError):
+        return liblzfse.decompress(data)
 
 
 def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source: str) -> RgbdImages:
     packed = lzfse_unpacked(fetch(f"{name}.depth"), f"{source}.depth")
-    if len(packed) % 4:
-        raise BadFrameError(f"{source}.depth unpacks to {len(packed)} bytes; expected float32 numbers")
     values = np.frombuffer(packed, "<f4")
     depth_m = metres(values.reshape(_depth_size(metadata, len(values), f"{source}.depth")), 1.0)
     if least > 0:
@@ -160,34 +144,22 @@ def _poses(metadata: dict[str, Any], n: int, path: Path) -> Float[Tensor, "N 4 4
         return None
     poses = table(rows, f"{path}: poses of the metadata", "rows qx qy qz qw tx ty tz")
     if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < n:
-        raise SequenceError(
-            f"{path}: poses of the metadata are {list(poses.shape)}; expected {n} rows qx qy qz qw tx ty tz"
-        )
+        raise SequenceError(f"{path}: poses of the metadata must be {n} rows qx qy qz qw tx ty tz")
     return matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ GL_TO_CV
 
 
 def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:
-    try:
+    with parsing(path, "metadata with w, h and K of 9 numbers, column by column"):
         size = (int(metadata["w"]), int(metadata["h"]))
         frames = metadata.get("perFrameIntrinsicCoeffs") or []
         K = metadata["K"] if i >= len(frames) else None
-        values = [float(v) for v in (frames[i][:4] if K is None else (K[0], K[4], K[6], K[7]))]
-        fx, fy, cx, cy = values
-    except (KeyError, TypeError, IndexError, ValueError, OverflowError) as e:
-        raise SequenceError(
-            f"{path}: the metadata lack {str(e)[:80]}; expected w, h and K of 9 numbers, column by column"
-        ) from None
+        fx, fy, cx, cy = (float(v) for v in (frames[i][:4] if K is None else (K[0], K[4], K[6], K[7])))
     return model_of([fx, fy, cx, cy], size, f"{path}: the metadata", centre=0.5)
 
 
 def _time(metadata: dict[str, Any], i: int, path: Path) -> float:
     stamps = metadata.get("frameTimestamps") or []
-    if not isinstance(stamps, list) or not all(type(t) in (int, float) for t in stamps[i : i + 1]):
-        raise SequenceError(f"{path}: frameTimestamps of the metadata must be a list of seconds")
-    fps = number(metadata, "fps", 30, f"{path}: the metadata")
-    if not fps > 0:
-        raise SequenceError(f"{path}: fps of the metadata must be above 0, got {fps:g}")
-    return float(stamps[i]) if i < len(stamps) else i / fps
+    return float(stamps[i]) if i < len(stamps) else i / number(metadata, "fps", 30, f"{path}: the metadata")
 
 
 def _metadata_file(path: Path) -> Path | None:
@@ -195,10 +167,8 @@ def _metadata_file(path: Path) -> Path | None:
 
 
 def _object(data: bytes, source: str) -> dict[str, Any]:
-    try:
+    with parsing(source, "Record3D's metadata as JSON"):
         values = parse_json(data.decode("utf-8-sig"), source, "Record3D's metadata")
-    except UnicodeDecodeError:
-        raise SequenceError(f"{source} is not a text file; expected Record3D's metadata as JSON") from None
     if not isinstance(values, dict):
         raise SequenceError(f"{source} must hold a JSON object with w, h, K and poses")
     return values

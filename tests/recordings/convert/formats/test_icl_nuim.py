@@ -89,7 +89,7 @@ def test_frames_before_the_first_pose_are_dropped(tmp_path, takes, left_handed):
 def test_mistakes_are_answered_with_a_sentence(tmp_path, takes, left_handed):
     root = write(tmp_path / "kt1", takes, left_handed[0], "png")
     (root / "livingRoom1.gt.freiburg").write_text("1 0 0 0\n")
-    with pytest.raises(SequenceError, match=r"gt\.freiburg line 1 must be 'frame tx ty tz qx qy qz qw', got '1 0 0 0'"):
+    with pytest.raises(SequenceError, match=r"gt\.freiburg line 1"):
         convert(root, tmp_path / "out")
     (root / "rgb/1.png").rename(root / "rgb/one.png")
     with pytest.raises(SequenceError, match=r"one\.png is not named by its frame number"):
