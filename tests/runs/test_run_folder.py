@@ -28,7 +28,7 @@ def test_a_run_cut_off_before_its_first_checkpoint_can_be_begun_anew(tmp_path):
     with RunFolder(tmp_path / "out"):
         pass
     (tmp_path / "out" / "checkpoint").mkdir()
-    for name in ("checkpoint/000001.pieces", ".gaussians.00112233.partial.ply"):
+    for name in ("checkpoint/000001.state", ".gaussians.00112233.partial.ply"):
         (tmp_path / "out" / name).write_text("")
     assert new_folder("x", tmp_path / "out") == tmp_path / "out"
     with RunFolder(tmp_path / "out"):
