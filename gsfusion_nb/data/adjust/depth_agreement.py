@@ -21,18 +21,6 @@ _MIN_ANGLE_RAD = 0.12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DepthPair:
-    """Points of a frame ``a`` and the depth image of a frame ``b`` of the same world."""
-
-    xyz_a: Float[Tensor, "N 3"]
-    """Valid points of ``a``, in its camera's frame, metres."""
-    depth_b: Float[Tensor, "H W"]
-    """z-depth, metres, 0 = missing."""
-    camera: Camera
-    """Camera of ``depth_b``."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class DepthConsistency:
     """How well two depth images agree under each of K relative poses."""
 
@@ -46,36 +34,40 @@ class DepthConsistency:
     """Mean of max(0, 1 - difference / 3 per cent) over all points: 1 for exact agreement everywhere."""
 
 
-def depth_pair(depth_a: Float[Tensor, "H W"], depth_b: Float[Tensor, "H W"], camera: Camera, *, step: int) -> DepthPair:
-    """The pair of every ``step``-th pixel of ``depth_a`` in both directions and all of ``depth_b``."""
-    points = depth_to_points(camera, depth_a)[step // 2 :: step, step // 2 :: step].reshape(-1, 3)
-    return DepthPair(xyz_a=points[points[:, 2] > 0], depth_b=depth_b, camera=camera)
+def sparse_points(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> Float[Tensor, "N 3"]:
+    """Points of every ``step``-th pixel in both directions that has depth, in the camera's frame, metres."""
+    points = depth_to_points(camera, depth_m)[step // 2 :: step, step // 2 :: step].reshape(-1, 3)
+    return points[points[:, 2] > 0]
 
 
-def depth_consistency(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"]) -> DepthConsistency:
+def depth_consistency(
+    xyz_a: Float[Tensor, "N 3"], depth_b: Float[Tensor, "H W"], camera: Camera, T_ba: Float[Tensor, "K 4 4"]
+) -> DepthConsistency:
     """Move the points of ``a`` into ``b`` under each pose and compare with the depth of the pixel they fall on.
 
     Args:
-        pair: Points and depth.
+        xyz_a: Points in the frame of camera ``a``, metres (``sparse_points``). [N, 3]
+        depth_b: z-depth of ``b``, metres, 0 = missing. [H, W]
+        camera: Of ``depth_b``.
         T_ba: Transforms from camera ``a`` to camera ``b``. [K, 4, 4]
     """
-    T = T_ba.to(pair.xyz_a.dtype)
-    P = pair.xyz_a @ T[:, :3, :3].transpose(1, 2) + T[:, None, :3, 3]
+    T = T_ba.to(xyz_a.dtype)
+    P = xyz_a @ T[:, :3, :3].transpose(1, 2) + T[:, None, :3, 3]
     z = P[..., 2]
     front = z > 1e-6
-    uv = project(pair.camera, torch.where(front[..., None], P, torch.ones_like(P)))
+    uv = project(camera, torch.where(front[..., None], P, torch.ones_like(P)))
     u, v = uv[..., 0].floor(), uv[..., 1].floor()
-    inside = front & (u >= 0) & (u < pair.camera.width) & (v >= 0) & (v < pair.camera.height)
-    measured = pair.depth_b[v.where(inside, 0.0).long(), u.where(inside, 0.0).long()]
+    inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    measured = depth_b[v.where(inside, 0.0).long(), u.where(inside, 0.0).long()]
     seen = inside & (measured > 0)
     error = (z - measured).abs()
     unit = (error / (AGREES * measured.clamp_min(1e-9))).where(seen, torch.inf)
-    total = max(pair.xyz_a.shape[0], 1)
+    total = max(xyz_a.shape[0], 1)
     return DepthConsistency(
         agreeing=(unit < 1).sum(-1) / total,
         overlap=seen.sum(-1) / total,
         median_m=error.where(seen, torch.nan).nanmedian(dim=-1).values
-        if len(pair.xyz_a)
+        if len(xyz_a)
         else torch.full((len(T),), torch.nan),
         score=(1 - unit).clamp_min(0).sum(-1) / total,
     )
@@ -115,7 +107,7 @@ def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
         step: Every step-th pixel of ``a`` in both directions is used.
     """
     T_ba = relative_poses(a.T_WC.double()[None], b.T_WC.double()[None])
-    found = depth_consistency(depth_pair(a.depth_m, b.depth_m, b.camera, step=step), T_ba)
+    found = depth_consistency(sparse_points(b.camera, a.depth_m, step), b.depth_m, b.camera, T_ba)
     return DepthAgreement(median_m=float(found.median_m), overlap=float(found.overlap), agreeing=float(found.agreeing))
 
 

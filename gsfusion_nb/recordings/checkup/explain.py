@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...config.parts import AXES, NAMED_AXES
-from ...data.adjust.depth_agreement import depth_consistency, depth_pair, relative_under
+from ...data.adjust.depth_agreement import depth_consistency, relative_under, sparse_points
 from ...data.adjust.poses import axis_matrix
 from ...types import Camera
 from .fit import (
@@ -86,9 +86,9 @@ def _scored(
     step = max(1, round(math.sqrt(camera.width * camera.height / points)))
     scores = []
     for i, (a, b) in enumerate(pairs):
-        pair = depth_pair(there[a].depth_m, there[b].depth_m, camera, step=step)
+        xyz_a, depth_b = sparse_points(camera, there[a].depth_m, step), there[b].depth_m
         parts = relative[:, i].split(_POSES_AT_ONCE)
-        scores.append(torch.cat([depth_consistency(pair, T_ba).score for T_ba in parts]))
+        scores.append(torch.cat([depth_consistency(xyz_a, depth_b, camera, T_ba).score for T_ba in parts]))
     mean = torch.stack(scores).mean(0).tolist()
     return sorted(map(ScoredInterpretation, interpretations, mean), key=lambda t: -t.worth)
 

@@ -10,7 +10,7 @@ from gsfusion_nb.data.adjust.depth_agreement import (
     agreeing_share,
     depth_agreement,
     depth_consistency,
-    depth_pair,
+    sparse_points,
     thinned,
 )
 from gsfusion_nb.data.readers import folder
@@ -67,13 +67,13 @@ CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
 
 def test_a_wall_by_hand():
     wall = torch.full((6, 8), 2.0)
-    pair = depth_pair(wall, wall, CAMERA, step=1)
-    assert pair.xyz_a.shape == (48, 3)
+    xyz_a = sparse_points(CAMERA, wall, 1)
+    assert xyz_a.shape == (48, 3)
     still, nearer, aside, behind = torch.eye(4).repeat(4, 1, 1)
     nearer[2, 3] = -0.03  # 1.5 % of 2 m: half of what counts as agreeing
     aside[0, 3] = 1.0  # a pixel is 0.25 m wide there: four of eight columns leave
     behind[2, 3] = -3.0
-    found = depth_consistency(pair, torch.stack([still, nearer, aside, behind]))
+    found = depth_consistency(xyz_a, wall, CAMERA, torch.stack([still, nearer, aside, behind]))
     assert found.agreeing.tolist() == [1.0, 1.0, 0.5, 0.0]
     assert found.overlap.tolist() == [1.0, 1.0, 0.5, 0.0]
     assert found.score.tolist() == pytest.approx([1.0, 0.5, 0.5, 0.0], abs=1e-5)
@@ -83,8 +83,7 @@ def test_a_wall_by_hand():
 
 def test_missing_depth_is_no_point():
     depth_m = torch.zeros(6, 8)
-    pair = depth_pair(depth_m, depth_m, CAMERA, step=1)
-    found = depth_consistency(pair, torch.eye(4)[None])
+    found = depth_consistency(sparse_points(CAMERA, depth_m, 1), depth_m, CAMERA, torch.eye(4)[None])
     assert found.agreeing.tolist() == found.score.tolist() == [0.0]
     assert found.median_m.isnan().all()
 
