@@ -7,7 +7,6 @@ rgbd_dataset_freiburg1_desk/
 """
 
 import logging
-from collections import Counter
 from pathlib import Path
 
 import torch
@@ -129,9 +128,6 @@ def benchmark_camera(folder: Path) -> str:
 def _stream(path: Path) -> tuple[list[float], list[Path]]:
     """Times and files of a list with lines "timestamp filename"."""
     stamps, files = read_image_list(path)
-    if len(set(stamps)) != len(stamps):
-        twice = next(t for t, n in Counter(stamps).items() if n > 1)
-        log.warning("%s lists the time %.6f s more than once; each image is used at most once", path, twice)
     judged = judge_stamps(stamps, names=[natural_order(f) for f in files], unit="s")
     if judged.times_s is None:
         raise SequenceError(

@@ -152,6 +152,18 @@ def level_offsets(height: int) -> tuple[ndarray, ndarray]:
     return np.array([0] + [WIDTH] * LEVELS, np.float32), np.array(rows, np.float32)
 
 
+def texels(atlas: ndarray, x: ndarray, y: ndarray) -> ndarray:
+    """Bilinear texels at columns and rows of the combined picture. [N] -> [N, 3] uint8"""
+    import cv2
+
+    n = x.size
+    side = 1024 if n >= 1024 else n  # cv2.remap takes pictures of fewer than 2^15 rows and columns
+    padded = np.zeros((2, -(-n // side) * side), np.float32)
+    padded[0, :n], padded[1, :n] = x, y
+    map_x, map_y = padded.reshape(2, -1, side)
+    return cv2.remap(atlas, map_x, map_y, cv2.INTER_LINEAR).reshape(-1, 3)[:n]
+
+
 log = logging.getLogger(__name__)
 
 SCENE_VERSION = 2

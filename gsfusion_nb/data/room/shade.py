@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from .raycast import RoomView
-from .scene import LEVELS, Scene, level_offsets
+from .scene import LEVELS, Scene, level_offsets, texels
 
 _POINTS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]], np.float32)
 """Sample points in a pixel, from its centre, pixels."""
@@ -119,18 +119,9 @@ class _TextureLookup:
 
     def fetch(self, U: ndarray, V: ndarray, level: ndarray) -> ndarray:
         """Bilinear texels of the rounded-down level. [N, 3] uint8"""
-        import cv2
-
         at = np.minimum(level.astype(np.uint8), LEVELS)
         scale = self.scales[at]
-        n = U.size
-        side = 1024 if n >= 1024 else n  # cv2.remap takes pictures of fewer than 2^15 rows and columns
-        rows = -(-n // side)
-        map_xy = np.zeros((2, rows * side), np.float32)
-        map_xy[0, :n] = U * scale + self.cols[at]
-        map_xy[1, :n] = V * scale + self.rows[at]
-        map_x, map_y = map_xy.reshape(2, rows, side)
-        return cv2.remap(self.scene.atlas, map_x, map_y, cv2.INTER_LINEAR).reshape(-1, 3)[:n]
+        return texels(self.scene.atlas, U * scale + self.cols[at], V * scale + self.rows[at])
 
 
 def _edge_pixels(patch: ndarray) -> ndarray:
