@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -129,21 +128,6 @@ def test_each_lpips_gives_the_network_its_own_images(monkeypatch):
     assert (network.seen[1] == 1).all()
     assert lpips_as_released(rgb, other) == pytest.approx((0.8 + 1 + 1) / 3)
     torch.testing.assert_close(network.seen[0][0, :, 0, 0], torch.tensor([0.0, 0.0, 0.2]))
-
-
-@pytest.fixture
-def no_cached_network():
-    image_module._lpips_network.cache_clear()
-    yield
-    image_module._lpips_network.cache_clear()
-
-
-def test_lpips_without_its_package_says_so(monkeypatch, no_cached_network):
-    monkeypatch.setitem(sys.modules, "lpips", None)
-    result = lpips(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))
-    assert isinstance(result, NotComputed)
-    assert lpips_as_released(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3)) == result
-    assert str(result).startswith("not computed: package 'lpips' is not installed")
 
 
 def test_depth_error_counts_only_pixels_with_both():
