@@ -141,13 +141,13 @@ def figure_words(figure: "Figure") -> str:
     return f"Graph of {'; '.join(parts)}"
 
 
-def figure_picture(figure: "Figure") -> Picture:
-    """A figure as an image, at its own size and resolution."""
+def figure_picture(figure: "Figure", channels: int = 3) -> Any:
+    """A figure as an image, at its own size and resolution; with 4 channels its ground stays transparent."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    return np.asarray(canvas.buffer_rgba())[..., :channels].copy()
 
 
 def style(axes: "Axes", *, x: str = "", y: str = "", title: str = "", ink: str = BETWEEN) -> None:

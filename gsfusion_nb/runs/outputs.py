@@ -29,12 +29,11 @@ from ..evaluation import (
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import write_file
-from ..mapping.step import StepReport
 from ..seeding import is_built_in, rule_name, rule_source
 from ..seeding.rule_code import file_source
 from ..types import Mesh
 from .mapping_run import MappingRun
-from .report import FrameRow, ReportData, ReportView, write_report
+from .report import ReportData, ReportView, write_report
 from .run_folder import METRICS, RULE
 from .scored_views import (
     VIEWS,
@@ -179,7 +178,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         subtitle=", ".join([*about, f"fidelity {fidelity}"] if fidelity else about),
         metrics=metrics,
         config=to_dict(config),
-        frames=[_frame_row(s) for s in run.steps],
+        frames=run.steps,
         global_losses=run.global_losses,
         views=_panels(run),
         mesh_pictures=_mesh_pictures(run),
@@ -345,20 +344,6 @@ def _mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
         pictures[f"colour, view {i + 1}"] = seen.rgb.clamp(0, 1).cpu()
         pictures[f"shape, view {i + 1}"] = shaded[..., None].expand(-1, -1, 3).cpu()
     return pictures
-
-
-def _frame_row(s: StepReport) -> FrameRow:
-    return FrameRow(
-        index=s.frame_index,
-        seconds=s.total_seconds,
-        n_gaussians=s.n_gaussians,
-        n_seeds=s.n_seeds,
-        keyframe=s.is_keyframe,
-        psnr_before=s.psnr_before_db,
-        psnr=s.psnr_after_db,
-        losses=s.losses,
-        stage_seconds=s.seconds,
-    )
 
 
 def _headline_warnings(run: MappingRun, most: int = 10) -> list[str]:

@@ -76,14 +76,11 @@ def disc_scene(
     config = DiscConfig(opaque_alpha=opaque_alpha, min_cosine=0.17, max_offset=3.0)
     seen = view_surface(params, camera, T_WC, config)
     blended = view_surface(params, camera, T_WC, dataclasses.replace(config, depth="blended"))
+    planes = _planes(camera, lean, float(gap_m))
     return DiscScene(
-        params=params,
-        truth_m=_truth(camera, lean, float(gap_m)),
-        planes_m=_planes(camera, lean, float(gap_m)),
-        disc_m=seen.depth_m,
-        blended_m=blended.depth_m,
-        rgb=seen.rgb,
-    )
+        params=params, truth_m=_truth(camera, lean, planes), planes_m=planes, disc_m=seen.depth_m,
+        blended_m=blended.depth_m, rgb=seen.rgb,
+    )  # fmt: skip
 
 
 def disc_panel() -> Panel:
@@ -182,12 +179,9 @@ def _planes(camera: Camera, lean: float, gap_m: float) -> tuple[Float[Tensor, "H
     return (board, torch.full_like(board, NEAR_M + gap_m)) if gap_m > 0 else (board,)
 
 
-def _truth(camera: Camera, lean: float, gap_m: float) -> Float[Tensor, "H W"]:
-    """z-depth of the boards: the front one is between x = -0.7 cos(lean) and 0."""
-    planes = _planes(camera, lean, gap_m)
-    if len(planes) == 1:
-        return planes[0]
-    board, wall = planes
+def _truth(camera: Camera, lean: float, planes: tuple[Float[Tensor, "H W"], ...]) -> Float[Tensor, "H W"]:
+    """z-depth of the boards: the front one is between x = -0.7 cos(lean) and 0 if there is a wall."""
+    board, wall = planes[0], planes[-1]
     x_m = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx * board
     on_board = (board > 0) & (x_m <= 0) & (x_m >= -_HALF_M * float(np.cos(lean)))
     return torch.where(on_board, torch.minimum(board, wall), wall)
@@ -263,19 +257,9 @@ def surface_panel(
     def draw(choice: str) -> Drawn:
         surface, whole = (to_uint8(x) for x in pictures[choice])
         added = ((whole.astype(int) - surface) + 128).clip(0, 255).astype("uint8")
-        parts = {
-            "surface": surface,
-            "added by Gaussians": added,
-            "sum": whole,
-            "|sum - photograph|": error_map(whole, photo),
-        }
-        big = [part.repeat(scale, 0).repeat(scale, 1) for part in parts.values()]
+        parts = [part.repeat(scale, 0).repeat(scale, 1) for part in (surface, added, whole, error_map(whole, photo))]
         words = f"{label} {choice}: the surface alone, what the Gaussians add, the sum, and its error"
-        return side_by_side(big, list(parts)), words
+        return side_by_side(parts, ["surface", "added by Gaussians", "sum", "|sum - photograph|"]), words
 
-    return Panel(
-        draw,
-        {"choice": Choice(value=names[-1], options=names, label=label)},
-        name="surface",
-        text="Surface, corrections and sum",
-    )
+    controls = {"choice": Choice(value=names[-1], options=names, label=label)}
+    return Panel(draw, controls, name="surface", text="Surface, corrections and sum")

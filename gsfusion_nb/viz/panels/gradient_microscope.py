@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ...drawing.curves import figure_picture, image_figure, rgb_of
 from ...drawing.pictures import AnyImage, Picture, side_by_side, to_uint8
-from ...optim import dssim_vjp, l1_vjp
+from ...optim import l1_vjp
 from ...render import composite, composite_vjp, tile_intersections
 from ...render.constants import ALPHA_MAX
 from ...types import Camera, GaussianParams
@@ -65,18 +65,13 @@ def blend_vjp(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelGradient:
-    """The gradient from one pixel for the Gaussians of its stack, nearest first. A notebook shows it as a table."""
+    """The gradient from one pixel for the Gaussians of its stack, nearest first."""
 
     stack: PixelStack
-    v_colour: Float[Tensor, "3"]
-    """dL/dC of the pixel."""
     v_rgb: Float[Tensor, "K 3"]
     v_alpha: Float[Tensor, " K"]
     v_opacity: Float[Tensor, " K"]
     v_uv: Float[Tensor, "K 2"]
-
-    def _repr_html_(self) -> str:
-        return pixel_gradient_table(self)
 
 
 def pixel_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], u: int, v: int) -> PixelGradient:
@@ -91,7 +86,7 @@ def pixel_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], u: int, v: int
     v_C = v_rgb[v, u].to(stack.rgb)
     v_alpha, v_uv = blend_vjp(splats, blend, v_C[None])
     return PixelGradient(
-        stack=stack, v_colour=v_C, v_rgb=stack.weight[:, None] * v_C, v_alpha=v_alpha[0],
+        stack=stack, v_rgb=stack.weight[:, None] * v_C, v_alpha=v_alpha[0],
         v_opacity=v_alpha[0] * stack.alpha / splats.projection.opacity[stack.row], v_uv=v_uv[0],
     )  # fmt: skip
 
@@ -148,7 +143,7 @@ def gaussian_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], row: int) -
     )  # fmt: skip
 
 
-def pixel_gradient_table(gradient: PixelGradient, unit: float | int = 1.0) -> str:
+def pixel_gradient_table(gradient: PixelGradient, unit: float | int) -> str:
     """The gradients of the Gaussians with the largest weights, nearest first, as an HTML table.
 
     Args:
@@ -232,7 +227,7 @@ PICTURE_PX = 222
 
 
 class GradientMicroscope(Panel):
-    """The gradient of L1 (and D-SSIM) of one image, split into the terms of single pixels and Gaussians.
+    """The gradient of L1 of one image, split into the terms of single pixels and Gaussians.
 
     Click the rendered picture. With "pixel", every Gaussian of the pixel's stack shows its dL/dalpha and an arrow
     along -dL/d(u, v). With "Gaussian", the one with the largest weight there shows the term of each pixel and their
@@ -241,7 +236,6 @@ class GradientMicroscope(Panel):
     Args:
         params, camera, T_WC: The map, and the camera and pose that it is seen from.
         target: The photograph. [H, W, 3]
-        ssim_weight: L = (1 - s) L1 + s D-SSIM.
         pixel: Where to look first; the middle by default. (column, row)
     """
 
@@ -252,11 +246,10 @@ class GradientMicroscope(Panel):
         T_WC: Float[Tensor, "4 4"],
         target: Float[Tensor, "H W 3"],
         *,
-        ssim_weight: float | int = 0.0,
         pixel: tuple[int, int] | None = None,
     ):
         self.target = target
-        self._read(params, camera, T_WC, float(ssim_weight))
+        self._read(params, camera, T_WC)
         pick = Choice(value=PICKS[0], options=PICKS, label="a click picks")
         super().__init__(
             self._draw, {"pick": pick, **pixel_sliders(camera, pixel)}, name="gradient", kind="png",
@@ -284,21 +277,19 @@ class GradientMicroscope(Panel):
             table = self._gaussian_table(field.row, 1 / n)
         else:
             lens = pixel_gradient_picture(self.rendered, self.splats, self.of_pixel, size=PICTURE_PX)
-            table = pixel_gradient_table(self.of_pixel, unit=1 / n)
+            table = pixel_gradient_table(self.of_pixel, 1 / n)
         pair = [with_cross(self.rendered, u, v, PICTURE_PX), resize_to_height(self.target, PICTURE_PX)]
         unit = f"numbers are multiples of 1/{n:,}: L1 gives ±1 per pixel and channel"
         return side_by_side([*pair, lens], ["rendered: click", "target", "descent"]), f"pixel ({u}, {v}); {unit}{table}"
 
-    def _read(self, params: GaussianParams, camera: Camera, T_WC: Tensor, ssim_weight: float) -> None:
+    def _read(self, params: GaussianParams, camera: Camera, T_WC: Tensor) -> None:
         """Render, and compute the gradient with respect to the projected Gaussians."""
         with torch.no_grad():
             self.splats = project_splats(params, camera, T_WC)
             p = self.splats.projection
             tiles = tile_intersections(p, camera)
             out = composite(p.uv, p.conic, p.opacity, self.splats.rgb, p.depth_m, tiles, camera, with_indices=False)
-            self.v_rgb = l1_vjp(out.rgb, self.target, 1.0 - ssim_weight)
-            if ssim_weight > 0:
-                self.v_rgb = self.v_rgb + dssim_vjp(out.rgb, self.target, ssim_weight)[1]
+            self.v_rgb = l1_vjp(out.rgb, self.target)
             self.rendered = to_uint8(out.rgb)
             self.total = composite_vjp(out.saved, self.v_rgb)
 

@@ -188,7 +188,8 @@ class Panel:
                 except ValueError as e:
                     self._show_error(e)
                     return
-                self.set(**{k: _on_step(self.controls[k], x) for k, x in changed.items()})
+                if changed:
+                    self.set(**{k: _on_step(self.controls[k], x) for k, x in changed.items()})
 
     def _pressed(self, act: Callable[[], Any]) -> None:
         with self.lock:

@@ -146,7 +146,17 @@ class PixelStack:
         return weights_graph(size, self.rgb, self.weight, strips, title=title, alpha=self.alpha, light=light)
 
     def _repr_html_(self) -> str:
-        return stack_table(self)
+        index = Markup("{}<sub>k</sub>")
+        heads = ("k", "row", "depth m", index.format("α"), index.format("T"), index.format("w") + " = α T",
+                 index.format("c"), "w c")  # fmt: skip
+        numbers = (self.depth_m, self.alpha, self.transmittance, self.weight)
+        lines = [
+            (str(k), str(int(self.row[k])), *(f"{x[k]:.3f}" for x in numbers), swatch(self.rgb[k]), rgb_text(wc))
+            for k, wc in enumerate(self.contribution[:TABLE_ROWS])
+        ]
+        left, weight = f"left {self.light_left:.3f}", f"{self.weight.sum():.3f}"
+        total = ("", "sum", "", "", left, weight, swatch(self.colour), rgb_text(self.colour))
+        return numbers_table(heads, lines, total, n=len(self))
 
 
 def pixel_stack(splats: Splats, u: int, v: int) -> PixelStack:
@@ -183,21 +193,6 @@ def check_pixel(camera: Camera, u: int, v: int) -> None:
         raise ValueError(
             f"pixel ({u}, {v}) is outside the picture: columns 0..{camera.width - 1}, rows 0..{camera.height - 1}"
         )
-
-
-def stack_table(stack: PixelStack) -> str:
-    """The stack as an HTML table: row, depth, alpha, T, weight, colour, contribution, and the sum below."""
-    index = Markup("{}<sub>k</sub>")
-    heads = ("k", "row", "depth m", index.format("α"), index.format("T"), index.format("w") + " = α T",
-             index.format("c"), "w c")  # fmt: skip
-    numbers = (stack.depth_m, stack.alpha, stack.transmittance, stack.weight)
-    lines = [
-        (str(k), str(int(stack.row[k])), *(f"{x[k]:.3f}" for x in numbers), swatch(stack.rgb[k]), rgb_text(wc))
-        for k, wc in enumerate(stack.contribution[:TABLE_ROWS])
-    ]
-    left, weight = f"left {stack.light_left:.3f}", f"{stack.weight.sum():.3f}"
-    total = ("", "sum", "", "", left, weight, swatch(stack.colour), rgb_text(stack.colour))
-    return numbers_table(heads, lines, total, n=len(stack))
 
 
 def numbers_table(
