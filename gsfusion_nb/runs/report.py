@@ -184,7 +184,7 @@ def _graphs(frames: Sequence[StepReport], global_losses: Sequence[float | int]) 
     marks = {"marks": [row.frame_index for row in frames if row.is_keyframe], "marks_label": "keyframe"}
     shown = []
     if frames:
-        times = _stages_ms(frames) or {"whole step": [0.0] * len(frames)}
+        times = _stages_ms(frames)
         shown.append(page_graph("Time per frame", x, times, x_label="frame", y_label="time, ms", stacked=True))
         gaussians = {"Gaussians": [row.n_gaussians for row in frames]}
         shown.append(page_graph("Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks))

@@ -211,11 +211,6 @@ class SplatViewer(anywidget.AnyWidget):
                 return None
             return gaussian_record(self._params, self._columns, self.picked)
 
-    def shown(self) -> tuple[GaussianParams, Float[np.ndarray, "N C"]]:
-        """The rows that are shown, and the columns that they can be coloured by."""
-        with self._lock:
-            return self._params, stacked(self._columns, len(self._params))
-
     def _show_record(self) -> None:
         """Names and values of the picked row, which the browser shows in the picture."""
         row = self.picked_row()

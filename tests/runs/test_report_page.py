@@ -155,7 +155,6 @@ def test_views_with_holes(generator, tmp_path, changes):
     "frames",
     [
         [row(0)],
-        [row(0, seconds={}), row(3, seconds={})],
         [row(i, psnr_after_db=math.nan, psnr_before_db=math.nan, losses=(), is_keyframe=False) for i in range(3)],
     ],
 )

@@ -139,7 +139,9 @@ def shown(w: Tensor) -> int:
 def _bars(axes: Any, height: Tensor, rgb: Tensor, **how: Any) -> None:
     """Bars over the Gaussians of a pixel, nearest first; the first ones of ``rgb``."""
     n = len(height)
-    axes.bar(range(1, n + 1), height, color=rgb[:n].clamp(0, 1).numpy(), edgecolor=BETWEEN, linewidth=0.6, **how)
+    axes.bar(
+        range(1, n + 1), height.numpy(), color=rgb[:n].clamp(0, 1).numpy(), edgecolor=BETWEEN, linewidth=0.6, **how
+    )
     axes.set_xlim(0.3, len(rgb) + 0.7)
     axes.locator_params(axis="x", integer=True)
 
@@ -153,7 +155,7 @@ def _forward_picture(figure: "Figure", scene: dict[str, Any], rgb: Tensor) -> No
     axes.set_ylim(0, 1.05)
     _bars(axes, scene["alpha"], rgb, width=0.8, alpha=0.35)
     _bars(axes, scene["w"], rgb, width=0.5)
-    T = scene["T"]
+    T = scene["T"].numpy()
     axes.plot(range(1, len(T) + 1), T, ".-", drawstyle="steps-mid", color=PALETTE[3], linewidth=1.8)
     axes.plot(scene["k"] + 1, 1.03, "v", color=PALETTE[3], markersize=7, clip_on=False)
 

@@ -324,7 +324,7 @@ def _graph_picture(figure: "Figure", scene: dict[str, Any], start: Tensor, edges
     (x, y), half = ((low + high) / 2).tolist(), 0.7 * float((high - low).max().clamp_min(0.1))
     left.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
     K, at = len(start), scene["T_WC"][:, :2, 3].numpy()
-    left.plot(*start[:, :2, 3].T, "o", color=BETWEEN, markersize=4, alpha=0.6)
+    left.plot(*start[:, :2, 3].numpy().T, "o", color=BETWEEN, markersize=4, alpha=0.6)
     for k, edge in enumerate(edges):
         ink, wide = (PALETTE[3], 3.5) if k == scene["edge"] else (PALETTE[1 if edge.kind == "loop" else 0], 1.6)
         left.plot(*at[[edge.i, edge.j]].T, color=ink, linewidth=wide)
