@@ -85,7 +85,11 @@ def curve_figure(
             markersize=7, markeredgewidth=1.0, color=MUTED, label=marks_label, clip_on=False,
         )  # fmt: skip
     if len(series) + bool(len(marks)) > 1:
-        _legend(figure, axes)
+        legend: Any = figure.legend(
+            loc="outside upper left", ncols=3, frameon=False, fontsize=9.5, labelcolor=INK, handlelength=1.2,
+            columnspacing=1.2, borderpad=0.1,
+        )  # fmt: skip
+        legend.set_in_layout(True)
     return figure
 
 
@@ -213,17 +217,6 @@ def _style(axes: "Axes", x_label: str, y_label: str) -> None:
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(GRID)
-
-
-def _legend(figure: "Figure", axes: "Axes") -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    one_row = sum(map(len, labels)) + 5 * len(labels) <= 66  # characters that fit across, handles counted as five
-    columns = len(labels) if one_row else math.ceil(len(labels) / 2)
-    legend: Any = figure.legend(
-        handles, labels, loc="outside upper left", ncols=columns, frameon=False, fontsize=9.5, labelcolor=INK,
-        handlelength=1.2, columnspacing=1.2, borderpad=0.1,
-    )  # fmt: skip
-    legend.set_in_layout(True)
 
 
 def _thousands(value: float, _position: Any = None) -> str:

@@ -97,14 +97,7 @@ def write_report(path: Path | str, run: ReportData) -> Path:
     Returns:
         The path written.
     """
-    path = Path(path)
-    write_file(path, report_html(run))
-    return path
-
-
-def report_html(run: ReportData) -> str:
-    """The page as HTML text."""
-    return fill(
+    page = fill(
         "report.html",
         title=run.title,
         subtitle=run.subtitle,
@@ -121,6 +114,9 @@ def report_html(run: ReportData) -> str:
         environment=_settings(run.environment),
         frame_rows=[_frame_cells(row) for row in run.frames],
     )
+    path = Path(path)
+    write_file(path, page)
+    return path
 
 
 def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -71,18 +71,13 @@ class TracePanel(Panel):
         Raises:
             ValueError: not exactly one of them is given, or nothing is known of it.
         """
-        story, name = self._told(pixel=pixel, gaussian=gaussian, id=id, voxel=voxel)
-        return self.show_story(story, name, self.moment)
-
-    def show_story(self, story: Any, name: str, k: int) -> Any:
-        """Show moment ``k`` of a story that the trace told before, and its name; the last one for larger numbers."""
         with self.lock:
-            self.story, self.name_of_story = story, name
+            self.story, self.name_of_story = self._told(pixel=pixel, gaussian=gaussian, id=id, voxel=voxel)
             self._quiet = True
-            self.controls["moment"].max = len(story.moments) - 1
+            self.controls["moment"].max = len(self.story.moments) - 1
             self._quiet = False
-            self.go_to(k)
-        return story
+            self.go_to(self.moment)
+        return self.story
 
     def go_to(self, k: int) -> "TracePanel":
         """Show moment ``k`` of the story, from 0; the last one for larger numbers."""
@@ -94,31 +89,32 @@ class TracePanel(Panel):
         viewer.observe(lambda change: self._picked(change["new"]), "picked")
         return self
 
-    def follow(self, u: int, v: int) -> None:
-        """Follow what a click on a pixel of the present picture follows.
-
-        Raises:
-            ValueError: nothing is recorded there.
-        """
-        serial = self.story.moments[self.moment].serial
-        follows, moments = self.values["follows"], self.trace.pixel(u, v).moments
+    def _clicked(self, stroke: Stroke) -> dict[str, Any]:
+        """Follow what a click there follows, from the moment of the present operation on."""
+        now = self.story.moments[self.moment]
+        if now.camera is None:
+            return {}
+        zoom, camera = WIDTH_PX / now.camera.width, now.camera
+        u, v = min(int(stroke.now[0] / zoom), camera.width - 1), min(int(stroke.now[1] / zoom), camera.height - 1)
+        follows, of_pixel = self.values["follows"], self.trace.pixel(u, v)
 
         def nearest(moments: Sequence[Any]) -> int:
             if not moments:
                 raise ValueError(f"no {follows} is known at pixel ({u}, {v})")
-            return min(range(len(moments)), key=lambda k: abs(moments[k].serial - serial))
+            return min(range(len(moments)), key=lambda k: abs(moments[k].serial - now.serial))
 
+        what: dict[str, Any] = {"pixel": (u, v)}
         if follows == "voxel":
-            fused = [m for m in moments if getattr(m, "voxels", ())]
-            now = fused[nearest(fused)]
-            story, name = self._told(voxel=min(now.voxels, key=lambda x: abs(x.z_m - now.depth_m)).ijk)
+            fused = [m for m in of_pixel.moments if getattr(m, "voxels", ())]
+            here = fused[nearest(fused)]
+            what = {"voxel": min(here.voxels, key=lambda x: abs(x.z_m - here.depth_m)).ijk}
         elif follows == "Gaussian":
-            steps = [m for m in self.trace.pixel(u, v).steps if len(m.ids)]
-            now = steps[nearest(steps)]
-            story, name = self._told(id=int(now.ids[now.weight.argmax()]))
-        else:
-            story, name = self._told(pixel=(u, v))
-        self.show_story(story, name, nearest(story.moments))
+            steps = [m for m in of_pixel.steps if len(m.ids)]
+            here = steps[nearest(steps)]
+            what = {"id": int(here.ids[here.weight.argmax()])}
+        story = self.look_at(**what)
+        self.go_to(nearest(story.moments))
+        return {}
 
     def _told(self, **what: Any) -> tuple[Any, str]:
         """The story of what ``look_at`` was asked, and its name."""
@@ -134,14 +130,6 @@ class TracePanel(Panel):
         if not story.moments:
             raise ValueError(f"nothing is recorded of {name}: map a frame while the trace is open")
         return story, name
-
-    def _clicked(self, stroke: Stroke) -> dict[str, Any]:
-        camera = self.story.moments[self.moment].camera
-        if camera is not None:
-            zoom = WIDTH_PX / camera.width
-            u, v = int(stroke.now[0] / zoom), int(stroke.now[1] / zoom)
-            self.follow(min(max(u, 0), camera.width - 1), min(max(v, 0), camera.height - 1))
-        return {}
 
     def _picked(self, row: int | None) -> None:
         if row is not None:

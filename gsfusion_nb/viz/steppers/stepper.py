@@ -104,17 +104,6 @@ class Stepper(anywidget.AnyWidget):
         self.step = step if step >= 0 else self.count + step
         return self
 
-    def find(self, title: str) -> int:
-        """Number of the first step whose title contains a text.
-
-        Raises:
-            ValueError: no title does.
-        """
-        found = next((i for i, step in enumerate(self.steps) if title in step.title), None)
-        if found is None:
-            raise ValueError(f"no step's title contains {title!r}")
-        return found
-
     def picture(self) -> np.ndarray:
         """The picture of the present step, with its transparent ground. [H, W, 4] bytes"""
         return self._drawn(self.steps[self.step])
