@@ -153,6 +153,8 @@ class Player:
                 self.state = "running"
                 if not self._advance():
                     break
+                with self._asking:
+                    self._wanted = max(self._wanted - 1, 0)
             self._leave()
             self._rest(self._then)
         except BaseException as e:
@@ -163,7 +165,6 @@ class Player:
         """Whether there is another step to do."""
         with self._asking:
             self._serving = self._wanted > 0
-            self._wanted = max(self._wanted - 1, 0)
             return self._serving
 
     def _leave(self) -> None:
