@@ -142,7 +142,9 @@ def atomic_file(path: str | Path) -> Iterator[Path]:
     except OSError as e:
         if not _is_full(e):
             raise
-        left = f"{path} cannot be written: the disk is full, {free_space(path.parent) / 1e6:.1f} MB are free"
+        left = (
+            f"{path} cannot be written: the disk is full, {shutil.disk_usage(path.parent).free / 1e6:.1f} MB are free"
+        )
         raise DiskFullError(e.errno or errno.ENOSPC, left) from e
     finally:
         with contextlib.suppress(OSError):
@@ -154,14 +156,6 @@ def remove_partial(folder: Path) -> None:
     for path in folder.glob(".*.partial*"):
         if re.fullmatch(r"\..+\.[0-9a-f]{8}\.partial(\.\w+)?", path.name):
             path.unlink(missing_ok=True)
-
-
-def free_space(folder: Path) -> int:
-    """Bytes that can still be written to the disk of ``folder``; a very large number where the system does not say."""
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return sys.maxsize
 
 
 def write_file(path: str | Path, content: bytes | str) -> None:

@@ -95,11 +95,6 @@ class GrowingRows:
         """Numbers that a seeding rule keeps for each row, by name; see ``row_memory``."""
         return self._optional("memory.")
 
-    @property
-    def memory_bytes(self) -> int:
-        """Memory of all columns with the spare rows, bytes."""
-        return sum(column.nbytes for column in self._columns.values())
-
     def set_rate(self, parameter: str, factors: Float[Tensor, " N"]) -> None:
         """Set the factors by which the learning rate of a parameter is multiplied, one for each row."""
         self._use(f"rate.{parameter}")[: self._count] = factors

@@ -106,11 +106,6 @@ class KeyframeList:
     def __iter__(self) -> Iterator[Keyframe]:
         return iter(self._items)
 
-    @property
-    def size_bytes(self) -> int:
-        """Memory of the images, bytes."""
-        return sum(k.rgb_u8.numel() + (0 if k.depth_m is None else 4 * k.depth_m.numel()) for k in self._items)
-
     def append(self, frame: Frame, *, with_depth: bool = False) -> None:
         """Add ``frame`` as a keyframe, with its depth if ``with_depth``."""
         self._keep(Keyframe.of(frame, with_depth=with_depth))
