@@ -51,7 +51,6 @@ ALLOWED = {
     "data/room/scene.py": "pictures of its own, from bytes of a limited size",
     "recordings/convert/recording.py": "an array from bytes of a limited size",
     "recordings/fetch.py": "downloads, and unpacking into a new folder within a limit",
-    "course/progress.py": "a lock of its own",
     "course/grading/sandbox.py": "tasks and verdicts of its own",
     "viz/steppers/recording.py": "source files of this package",
     "export/checkpoint_store.py": "tensors and plain values whose checksum is right",

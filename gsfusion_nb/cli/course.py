@@ -23,8 +23,8 @@ class CourseOptions:
     """
 
     folder: Annotated[Path | None, tyro.conf.Positional] = None
-    """Where to write the notebooks, without solutions, and the documentation that they link to. What you have changed
-    there is kept; a newer edition of such a notebook is written beside it."""
+    """Where to write the notebooks, without solutions, and the documentation that they link to. A notebook
+    that is there already stays; to get its newest edition, rename yours."""
     open: bool = False
     """Then open the first one in JupyterLab."""
 
@@ -87,14 +87,12 @@ def _copy(folder: Path, open_it: bool) -> int:
     """Write the notebooks and say how to open them, or open them."""
     from ..course.copies import FIRST, copy_for_learner
 
-    done = copy_for_learner(folder)
-    for notebook in done:
-        if notebook.state != "unchanged":
-            print(notebook)
+    for path in copy_for_learner(folder):
+        print(f"wrote {path}")
     first = str(folder / FIRST)
     if not open_it:
         word = quoted(first, windows=sys.platform == "win32")
-        print(f"{len(done)} notebooks are in {folder}. To open the first one: jupyter lab {word}")
+        print(f"The notebooks are in {folder}. To open the first one: jupyter lab {word}")
         return 0
     return subprocess.call([sys.executable, "-m", "jupyter", "lab", first])
 

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import observed, piece
+from ..backends import piece
 from ..config import StateConfig
 from ..geometry import project, quaternion, se3, sum_rows
 from ..types import Camera, GaussianParams, Seeds
@@ -209,7 +209,6 @@ def count_views(model: SurfelModel, camera: Camera, T_WC: Float[Tensor, "4 4"]) 
     model.frames_in_view.add_((xyz_C[:, 2] > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height))
 
 
-@observed
 def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     """Unstable -> stable by confidence, stable -> unstable by errors, and removal of bad rows.
 

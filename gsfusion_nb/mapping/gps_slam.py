@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from ..backends import observed
 from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelity
 from ..export.tsdf_file import as_stored, write_tsdf
 from ..gaussians import GaussianModel
@@ -241,7 +240,6 @@ class GPSSLAM(TsdfMapping):
             self._prune()
         return loss
 
-    @observed
     def _optimise_view(self, view: BasedView) -> ViewStep:
         """One gradient step on one view. Returns loss and MSE before it; the surface is held fixed."""
         self.guard.may_stop()

@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import observed
 from ..config import DiscConfig, WindowConfig
 from ..gaussians import SurfelModel
 from ..optim import RgbdLoss, RowAdam, TrainingView, rgbd_l1_vjp
@@ -103,7 +102,6 @@ class SurfelOptimiser:
         output, _ = render_forward(self.trained, camera, T_WC, with_indices=False)
         return output.alpha > 0
 
-    @observed
     def step(self, view: TrainingView, outputs: Mapping[str, Tensor | None] = MappingProxyType({})) -> RgbdLoss:
         """One gradient step on one view. Returns the loss before it; the picture before it is ``picture`` then.
 

@@ -292,7 +292,6 @@ class RowAdam:
         } | {"sh": sh_rates.expand(-1, 3)}
         self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
 
-    @observed
     def step(self, gradients: GaussianParams) -> None:
         """Update once. Rows of ``gradients`` beyond those of ``params`` are ignored."""
         self.steps += 1

@@ -12,7 +12,6 @@ import pytest
 from gsfusion_nb.cli import main
 from gsfusion_nb.cli.course import quoted
 from gsfusion_nb.course import progress
-from gsfusion_nb.course.course import read_course
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,14 +31,6 @@ def test_progress_by_chapter(course_file, capsys):
     assert "1 of 3 exercises  60 min" in shown
     assert "1 of 59 exercises, 1 prediction; about" in shown
     assert "next: exam_frames\n" in shown
-
-
-def test_a_narrow_terminal(course_file):
-    for width in (24, 40, 80):
-        *lines, kept = read_course().as_table(width).splitlines()
-        assert max(map(len, lines)) <= width
-        assert kept == f"kept in {course_file}"
-    assert len(lines) == 13 + 1 + 3
 
 
 def test_a_path_is_one_word_on_every_system():
@@ -67,8 +58,7 @@ def test_the_notebooks_in_a_folder(tmp_path, capsys):
     folder = tmp_path / "my course"
     assert main(["course", str(folder)]) == 0
     said = capsys.readouterr().out
-    n = len(list((ROOT / "notebooks").glob("*.ipynb")))
-    assert f"{n} notebooks are in {folder}. To open the first one: jupyter lab '{folder}/00_quickstart.ipynb'" in said
+    assert f"The notebooks are in {folder}. To open the first one: jupyter lab '{folder}/00_quickstart.ipynb'" in said
     first = folder / "00_quickstart.ipynb"
     assert "BEGIN SOLUTION" not in first.read_text()
     first.write_text(first.read_text() + " ")
