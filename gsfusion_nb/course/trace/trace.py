@@ -129,19 +129,15 @@ class Recorder:
         mapper, view = args[:2]
         if mapper is not self.mapper:
             return f(*args, **kwargs)
-        self._step = {"view_index": view.index, "target": view.colour if hasattr(view, "colour") else view.rgb_u8}
-        self._step |= {"ids": self.identities.now()} | self._next()
+        target = view.colour if hasattr(view, "colour") else view.rgb_u8
+        self._step = {"view_index": view.index, "target": target, "ids": self.identities.now()} | self._next()
         loss, mse = f(*args, **kwargs)
-        self._end_step(loss)
-        return loss, mse
-
-    def _end_step(self, loss: Tensor) -> None:
         step, self._step = self._step, None
-        if step is None or "screen" not in step or "adam" not in step:
-            return
-        at = step.pop("view_index")
-        stage = "passes" if self.frame_index is None else "frame" if at == self.frame_index else "keyframe"
-        self._add(StepRecord(stage=stage, view_index=at, loss=loss, **step))
+        if "screen" in step and "adam" in step:
+            at = step.pop("view_index")
+            stage = "passes" if self.frame_index is None else "frame" if at == self.frame_index else "keyframe"
+            self._add(StepRecord(stage=stage, view_index=at, loss=loss, **step))
+        return loss, mse
 
     def _render_forward(self, f: Call, args: tuple, kwargs: dict) -> Any:
         output, saved = f(*args, **kwargs)
