@@ -16,11 +16,10 @@ from gsfusion_nb.gaussians import (
     Transitions,
     change_states,
     count_errors,
-    count_views,
 )
 from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.geometry.spherical_harmonics import sh_basis
-from gsfusion_nb.types import Camera, Seeds
+from gsfusion_nb.types import Seeds
 
 COUNTERS = ("state", "confidence", "colour_errors", "depth_errors")
 
@@ -221,21 +220,6 @@ def test_as_released_wrong_depth_is_deleted_and_wrong_colour_left_alone():
     assert model.tag.tolist() == [0, 2, 3]
     kept = torch.tensor([True, False, True, True])
     assert_same(model, {name: column[kept] for name, column in before.items()})
-
-
-def test_views_count_where_the_centre_is_in_the_picture():
-    model = surfels(6)
-    model.params.xyz_W.copy_(  # ahead, behind, at the left edge inside and outside, below, far ahead
-        torch.tensor(
-            [[0.0, 0, 1], [0, 0, -1], [-0.99, 0, 1], [-1.01, 0, 1], [0, 0.76, 1], [0, 0, 100]], dtype=torch.float32
-        )
-    )
-    camera = Camera(width=8, height=6, fx=4.0, fy=4.0, cx=4.0, cy=3.0)
-    count_views(model, camera, torch.eye(4))
-    assert model.frames_in_view.tolist() == [1, 0, 1, 0, 0, 1]
-    turned = torch.diag(torch.tensor([-1.0, 1, -1, 1]))  # by half a turn
-    count_views(model, camera, turned)
-    assert model.frames_in_view.tolist() == [1, 1, 1, 0, 0, 1]
 
 
 def test_oversized_rows_go_measured_against_those_of_their_own_state():

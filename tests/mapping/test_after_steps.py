@@ -265,23 +265,3 @@ def test_between_two_gradient_steps_a_frame_can_be_given_up(frames, monkeypatch,
         mapper.step(frame)
     same(whole.state_dict(), mapper.state_dict())
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_moments_go_with_their_rows(frames):
-    mapper = make_mapper(settings("rtg_slam"), seeding=Base)
-    for frame in frames[:3]:
-        mapper.step(frame)
-    list(mapper.global_optimise(1))
-    n = len(mapper.gaussians)
-    earlier = mapper._final.adam
-    moments = {name: [m.clone() for m in pair] for name, pair in earlier._moments.items()}
-    edit = Edit(clone=torch.tensor([3]), keep=torch.arange(n) != 1)
-    mapper.rows_changed(mapper.gaussians.edit(edit, torch.Generator()))
-    kept = [i for i in range(n) if i != 1]
-    assert mapper._final.adam.steps == earlier.steps > 0
-    for name, pair in mapper._final.adam._moments.items():
-        for mine, before in zip(pair, moments[name], strict=True):
-            assert torch.equal(mine[:-1], before[kept])
-            assert not mine[-1].any()
-            assert mine[:-1].any()
-    assert mapper.gaussians.is_stable.all()

@@ -7,14 +7,12 @@ from typing import Any
 import pytest
 import torch
 
-from gsfusion_nb.config import DataConfig, TrackingConfig, gps_slam, gsfusion, rtg_slam
-from gsfusion_nb.data import open_sequence
+from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.data.room import room
 from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.files import BadFrameError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
-from gsfusion_nb.mapping.localiser import Localiser
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, copy_memory
 from gsfusion_nb.tracking import Correction, loops
 from gsfusion_nb.tracking import back_end as back_end_module
@@ -190,22 +188,3 @@ def test_a_loop_closes_and_a_loss_is_overcome(there_and_back, system, monkeypatc
     degrees, metres = se3.motion(localiser.poses[-1], far.T_WC)
     assert metres < 0.02
     assert degrees < 0.5
-
-
-@pytest.mark.parametrize(("enabled", "kept"), [(False, "database"), (True, "map")])
-def test_landmarks_are_made_only_where_they_are_used(enabled, kept):
-    config = TrackingConfig(poses="tracked", landmarks=enabled)
-    mapping = open_sequence("room", data=DataConfig(width=320, height=240)).mapping
-    localiser, again = Localiser(config), Localiser(config)
-    frames = [mapping[i] for i in (0, 12, 24)]
-    for frame in frames:
-        localiser.record(frame)
-    state = localiser.state_dict()
-    assert [name for name in ("back_end", "map", "database") if state[name] is not None] == [kept]
-    again.load_state_dict(state)
-    assert again.camera == localiser.camera == frames[0].camera
-    keyframes = again.state_dict()[kept]
-    keyframes = keyframes["database"] if enabled else keyframes
-    torch.testing.assert_close(keyframes, state[kept]["database"] if enabled else state[kept])
-    found = again._relocalise(dataclasses.replace(frames[1], T_WC=torch.eye(4)))
-    assert min(float((T[:3, 3] - frames[1].T_WC[:3, 3]).norm()) for T in found) < 0.05

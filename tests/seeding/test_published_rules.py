@@ -15,7 +15,6 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
 from gsfusion_nb.seeding.image_features import halved
-from gsfusion_nb.seeding.rules.hf_slam import alpha_behind
 from gsfusion_nb.tsdf import RaycastOutput
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -268,17 +267,6 @@ def test_vings_counts_the_wrong_pixels_and_draws_from_all():
     begin = apply_rule("vings", first())
     assert len(begin) == round(0.13 * N)
     assert begin.opacity.unique().tolist() == pytest.approx([0.1])
-
-
-def test_hf_slam_sums_opacities_behind_each_gaussian():
-    """Two Gaussians over the whole view, of opacity a: a (1 - a) + a (1 - a)^2 in place of a + (1 - a) a."""
-    model = GaussianModel(sh_degree=0)
-    centres = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 3.0]])
-    model.append(Seeds.isotropic(centres, torch.full_like(centres, 0.5), torch.full((2,), 1e3), opacity=0.6))
-    ctx = SeedContext(wall(), gaussians=model)
-    torch.testing.assert_close(ctx.render().alpha, torch.full((H, W), 0.84), atol=1e-4, rtol=0)
-    torch.testing.assert_close(alpha_behind(ctx), torch.full((H, W), 0.24 + 0.096), atol=1e-4, rtol=0)
-    assert len(apply_rule("hf_slam", ctx)) == N  # 0.336 is below 0.5
 
 
 def test_gaus_slam_divides_the_depth_by_the_opacity():

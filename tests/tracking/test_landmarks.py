@@ -109,23 +109,6 @@ def test_a_loop_makes_one_landmark_of_two(points):
     assert landmarks.of_feature[0].tolist() == list(range(40))
 
 
-def test_in_the_room_found_landmarks_are_the_same_points():
-    """Two frames of the walk with exact poses: the two back-projections of a pair meet."""
-    sequence = room(n_frames=400, width=320, height=240)
-    views = [extract_features(sequence[i], count=1000, levels=8) for i in (40, 44)]
-    database = KeyframeDatabase(sequence.camera)
-    landmarks = Landmarks(database)
-    database.add(40, sequence.pose(40), views[0])
-    landmarks.add(views[0], NO_PAIRS)
-    pairs = landmarks.find(views[1], sequence.pose(44), [0], 6.0)
-    assert len(pairs) > 150
-    known = views[1].has_depth[pairs[:, 0]]
-    here = se3.apply(sequence.pose(44).double(), views[1].xyz_C[pairs[known, 0]].double())
-    apart = (here - landmarks.positions(pairs[known, 1])).norm(dim=1)
-    assert float(apart.median()) < 0.01
-    assert float((apart < 0.05).double().mean()) > 0.95
-
-
 KEYFRAMES = range(30, 60, 6)
 
 

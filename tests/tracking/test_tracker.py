@@ -92,24 +92,6 @@ def test_along_an_edge_the_prediction_decides(plane_scene):
     assert float(report.T_WC[1, 3]) == pytest.approx(0.0, abs=2e-3)
 
 
-def test_no_depth_at_all_is_a_loss_in_one_sentence(plane_scene):
-    scene, tracker = plane_scene("corner"), Tracker()
-    blind = scene.frame(path(3)[2], 7)
-    blind = dataclasses.replace(blind, depth_m=torch.zeros_like(blind.depth_m))
-    message = "frame 7 cannot be tracked: none of its pixels have usable depth"
-    with pytest.raises(TrackingLostError, match=message):
-        tracker.track(blind, scene)
-    assert tracker.track(scene.frame(path(1)[0]), scene).status == "first"
-    tracker.track(scene.frame(path(2)[1], 1), scene)
-    before = tracker.state_dict()
-    with pytest.raises(TrackingLostError, match=message):
-        tracker.track(blind, scene)
-    after = tracker.state_dict()
-    assert (tracker.n_lost, tracker.lost_in_a_row) == (2, 1)
-    for name in ("last", "before"):
-        assert torch.equal(before[name]["T_WC"], after[name]["T_WC"])
-
-
 def test_a_jump_is_lost_and_found_when_the_stream_returns(plane_scene, assert_pose):
     corner, other, tracker = plane_scene("corner"), plane_scene("wall"), Tracker()
     track_all(tracker, corner, path(4))
