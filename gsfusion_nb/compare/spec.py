@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from .. import __version__
 from ..backends import MINE, BackendUnavailable, chosen
-from ..checks import check_name, check_number, shown
+from ..checks import check_number, shown
 from ..config import to_dict
 from ..config.values import check_kinds
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
@@ -208,16 +208,8 @@ class RunSpec:
                 'use it outside `with use_backend("mine")`'
             )
         parts = self.to_json()
-        for name in (
-            "label",
-            "scene",
-            "data",
-            "rule",
-            "preset",
-            "fidelity",
-            "settings",
-        ):  # names, and what the settings say
-            parts.pop(name)
+        for name in ("label", "scene", "data", "rule", "preset", "fidelity", "settings"):
+            parts.pop(name)  # names, and what the settings say
         known = registered().get(self.rule)
         if known is not None and not is_built_in(known):  # registered in this process, such as in a notebook
             parts |= identity_of(known, self.options)
@@ -234,9 +226,6 @@ class RunSpec:
         Raises:
             ValueError, TypeError, KeyError: ``values`` are not those of a run.
         """
-        check_names = {f.name for f in dataclasses.fields(cls)}
-        for name in values:
-            check_name("field of a run", name, check_names)
         size_range = values.get("size_range")
         return cls(
             **{
@@ -331,9 +320,6 @@ class RunResult:
             ValueError, TypeError, KeyError: ``values`` are not those of a result.
         """
         values = {name: value for name, value in values.items() if name != "key"}
-        known = {f.name for f in dataclasses.fields(cls)}
-        for name in values:
-            check_name("field of a result", name, known)
         return cls(**{**values, "spec": RunSpec.from_json(values["spec"])})
 
     def save(self, path: Path) -> None:
