@@ -13,7 +13,7 @@ from ..data import Sequence, SequenceError, apply_options, open_sequence
 from ..data.adjust.depth_agreement import agreeing_share
 from ..data.stream import Policy
 from ..evaluation import ONLINE
-from ..export import read_gaussian_ply
+from ..export import CheckpointStore, read_gaussian_ply
 from ..files import DiskFullError
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..optim import UpdateFunction
@@ -23,7 +23,7 @@ from ..work import ProgressDisplay, memory_is_full
 from . import outputs
 from .mapping_run import MappingRun, RunWatcher, has_poses
 from .resume import load_run
-from .run_folder import NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
+from .run_folder import CHECKPOINTS, NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
 from .stream_run import StreamRun
 
 log = logging.getLogger(__name__)
@@ -192,7 +192,8 @@ def drive(
             watcher.finished(run.mapper, mesh, metrics)
         outputs.write_numbers(run, folder, metrics)  # after all other files: its status says that they are there
         if run.status != "interrupted" or not run.resumable:
-            run.remove_checkpoints(folder)
+            CheckpointStore(folder / CHECKPOINTS).remove()
+            run.store = None
     return FinishedRun(run, folder, metrics)
 
 
@@ -267,7 +268,7 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
     if run.steps:
         saved = "saved" if not notes else "saved as far as the disk has space"
         notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {folder}.")
-    if run.resumable and run.has_checkpoint(folder):
+    if run.resumable and CheckpointStore(folder / CHECKPOINTS).exists:
         notes.append(f"To continue from the last checkpoint: gsfusion-nb map --resume {folder}")
     if memory_is_full(error):
         raise MemoryError(" ".join([f"{_describe_full(run.mapper)}.", *notes])) from error

@@ -109,7 +109,8 @@ class MappingRun:
         self.after_step: Callable[[], None] = lambda: None
         """Called after every frame and every step of the optimisation, when the state is complete."""
         self.watchers: list[RunWatcher] = []
-        self._stores: dict[Path, CheckpointStore] = {}
+        self.store: CheckpointStore | None = None
+        """Where the last checkpoint was saved, or read; it knows what need not be written again."""
         self.status = "running"
         """"running", "complete", "interrupted" (by the user) or "stopped" (the data ended with an error)."""
 
@@ -222,8 +223,9 @@ class MappingRun:
             "rule_from_file": bool(file_source(self.mapper.rule)),
             "random": random_state(),
         }
-        store = self._stores.setdefault(folder, CheckpointStore(folder / CHECKPOINTS))
-        store.save(document, constant=self.constant_tensors())
+        if self.store is None or self.store.folder != folder / CHECKPOINTS:
+            self.store = CheckpointStore(folder / CHECKPOINTS)
+        self.store.save(document, constant=self.constant_tensors())
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors of the state that never change."""
@@ -237,14 +239,6 @@ class MappingRun:
     def can_be_saved(self) -> bool:
         """Whether a checkpoint can be saved now and used later."""
         return self.resumable and not self.mapper.guard.half_mapped
-
-    def has_checkpoint(self, folder: Path) -> bool:
-        """Whether ``folder`` holds a checkpoint."""
-        return CheckpointStore(folder / CHECKPOINTS).exists
-
-    def remove_checkpoints(self, folder: Path) -> None:
-        """Remove the checkpoints of a complete run."""
-        self._stores.pop(folder, CheckpointStore(folder / CHECKPOINTS)).remove()
 
     def state_dict(self) -> dict[str, Any]:
         """The state of the run without its mapper, as tensors and plain values."""
@@ -261,10 +255,6 @@ class MappingRun:
             "seconds_global": self.seconds_global,
             "is_optimised": self.is_optimised,
         }
-
-    def use_store(self, folder: Path, store: CheckpointStore) -> None:
-        """Save the next checkpoints in ``folder`` with this store."""
-        self._stores[folder] = store
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` saved.

@@ -43,7 +43,7 @@ def load_run(
         raise SequenceError(f"{store.folder}: {e}") from e
     except Exception as e:  # the checkpoint is intact, but this version does not know its state
         raise ValueError(f"{store.folder} is damaged or from another version: {reason_of(e)}") from None
-    run.use_store(path, store)
+    run.store = store
     run.warnings += [note for note in run.mapper.notes if note not in run.warnings]
     if loaded.passed_over:
         run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is intact, is used instead")

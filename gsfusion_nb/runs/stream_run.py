@@ -99,9 +99,9 @@ class StreamRun(MappingRun):
         frames = [*self.kept.kept_mapped.items, *self.kept.kept_held_out.items]
         return [*super().constant_tensors(), *(image for f in frames for image in (f.colour, f.depth_m))]
 
-    def frames(self) -> "_Feed":
-        """The frames that come, without those held out."""
-        return _Feed(self)
+    def frames(self) -> "StreamRun":
+        """The frames that come, without those held out: the run gives them itself."""
+        return self
 
     @property
     def poses(self) -> list[Any]:
@@ -122,7 +122,7 @@ class StreamRun(MappingRun):
             "policy": self.policy,
         }
 
-    def next_frame(self) -> Frame:
+    def __next__(self) -> Frame:
         """The next frame to map; held-out frames are stored and passed over."""
         data = self.mapper.config.data
         while True:
@@ -175,20 +175,6 @@ class _Ended:
 
     def __iter__(self) -> Iterator[Frame]:
         return iter(())
-
-
-class _Feed:
-    """The frames of a run in order; closing it ends the source."""
-
-    def __init__(self, run: StreamRun):
-        self._run = run
-
-    def __next__(self) -> Frame:
-        return self._run.next_frame()
-
-    def close(self) -> None:
-        """Stop: no more frames will be read."""
-        self._run.close()
 
 
 class KeptFrames:
