@@ -2,18 +2,16 @@
 
 import dataclasses
 import logging
-import re
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from ..checks import shown
 from ..config import DataConfig, from_dict
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
-from ..files import SequenceError, SequenceNotFoundError, parsing, read_object
+from ..files import SequenceNotFoundError, parsing, read_object
 from ..mapping.systems import get_system
 from ..types import GaussianParams
 from .outputs import write_json
@@ -56,6 +54,7 @@ def rescore(
         source = dict(settings["source"])
         system = get_system(settings.get("system", "gsfusion"))
         config = from_dict(system.config_type, settings["config"])
+        stored_device = torch.device(settings["device"])
     if data is not None:
         source["path_or_name"] = data
     if "path_or_name" not in source:
@@ -71,7 +70,7 @@ def rescore(
             f"{source['path_or_name']} does not hold the data that this run was mapped from: the scores "
             "compare the map with other images",
         )
-    place = torch.device(device) if device else _device_of(settings.get("device", "cpu"), folder / "config.json")
+    place = torch.device(device or (stored_device if torch.cuda.is_available() else "cpu"))
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
 
     draw = system.drawn_from(folder, params, config)
@@ -104,16 +103,7 @@ def _sequence_of(folder: Path, source: dict[str, Any], data: DataConfig) -> Open
 def _warn(document: dict[str, Any], sentence: str) -> None:
     """Log a warning, and write it, once, among those of metrics.json."""
     log.warning(sentence)
-    before = document.get("warnings")
-    if not isinstance(before, list) or sentence not in before:
-        document["warnings"] = [*(before if isinstance(before, list) else []), sentence]
-
-
-def _device_of(stored: object, path: Path) -> torch.device:
-    """The device of the run; the processor where there is no GPU now."""
-    if stored not in ("cpu", "cuda") and not (isinstance(stored, str) and re.fullmatch(r"cuda:\d", stored)):
-        raise SequenceError(f"{path}: device must be cpu or cuda, got {shown(stored)}; name one with --device")
-    return torch.device(str(stored) if torch.cuda.is_available() else "cpu")
+    document["warnings"] = list(dict.fromkeys([*document.get("warnings", ()), sentence]))
 
 
 def _of_degree(params: GaussianParams, degree: int, device: torch.device) -> GaussianParams:
