@@ -73,8 +73,8 @@ def test_an_edited_rule_of_a_notebook_has_another_key():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"gaussians": 0}, "budget.gaussians must be between 1"),
-        ({"tolerance": 0.9}, "budget.tolerance must be between"),
+        ({"gaussians": 0}, "budget.gaussians"),
+        ({"tolerance": 0.9}, "budget.tolerance"),
     ],
 )
 def test_a_budget_that_means_nothing_is_refused(values, message):
