@@ -42,7 +42,7 @@ def open_sequence(
 
     Args:
         path_or_name: Folder of a sequence, or "room", the built-in scene (a folder of that name: "./room").
-        format: "auto" recognises the layout by its files; or the name of one: ``layouts()``.
+        format: "auto" recognises the layout by its files; or the name of a file in ``readers``.
         data: Size, range, depth limits, held-out frames.
         extra: A function from a frame, at its recorded size, to further images of it by name: labels, uncertainties, or
             anything [H, W, ...]. They become ``frame.extra``, are resized with the frame, and reach seeding rules.
@@ -75,11 +75,6 @@ def open_sequence(
     if isinstance(recording, RecordedSequence):
         recording = dataclasses.replace(recording, read_from=tuple(dict.fromkeys(read_from)))
     return apply_options(recording, data, extra)
-
-
-def layouts() -> list[str]:
-    """Names that ``open_sequence(format=...)`` takes besides "auto" and "room"."""
-    return list(known_layouts())
 
 
 def detect_layout(path: str | Path) -> str:

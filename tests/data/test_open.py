@@ -11,9 +11,9 @@ from gsfusion_nb.data import (
     SequenceNotFoundError,
     apply_options,
     detect_layout,
-    layouts,
     open_sequence,
 )
+from gsfusion_nb.data.open import known_layouts
 from gsfusion_nb.types import Camera, Frame
 
 
@@ -117,7 +117,7 @@ def test_detection_lists_what_was_looked_for(tmp_path, box):
         open_sequence(tmp_path)
     message = str(caught.value)
     assert "fits no known layout; looked for" in message
-    for name in layouts():
+    for name in known_layouts():
         assert name in message
     root = box.folder(tmp_path / "scan")
     assert detect_layout(root) == "folder"
