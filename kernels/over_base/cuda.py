@@ -15,9 +15,8 @@ from gsfusion_nb.render.over_base import Base, OverBaseOutput
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..binning.cuda import TileLists, list_tiles
-from ..project.cuda import centre_vjp, project_rows, project_rows_vjp
-from ..project.layout import SPLAT
-from ..runtime.arguments import as_bytes, check_dtype, packed
+from ..project.cuda import gradients_of, project_rows
+from ..runtime.arguments import check_dtype, packed
 from ..runtime.cuda.launch import device_of, launch
 
 _BLOCK = 128
@@ -92,17 +91,10 @@ def render_over_base_vjp(
     Raises:
         ValueError: tensors on several devices.
     """
-    name, kernel, tiles = "render_over_base_vjp", "over_base:over_base_backward", saved.lists.n_tiles
-    device = device_of(name, picture=saved.splats, rows=rows, v_rgb=v_rgb)
-    seen = saved.image | {"v_rgb": packed(v_rgb.float())}
-    trained = as_bytes(rows)
-    sums = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
-    if v_uv_abs is None:
-        launch(name, kernel, tiles, _BLOCK, saved.work, saved.surface, seen, trained, sums)
-    else:
-        abs_sums = torch.zeros(len(saved.splats), 2, dtype=torch.float32, device=device)
-        launch(name, f"{kernel}_abs", tiles, _BLOCK, saved.work, saved.surface, seen, trained, sums, abs_sums)
-        v_uv_abs.copy_(abs_sums)
-    if v_uv is not None:
-        centre_vjp(saved.splats, saved.depth, sums, rows, v_uv)
-    return project_rows_vjp(saved.params, saved.camera, saved.T_WC, saved.splats, saved.depth, sums, trained)
+    name = "render_over_base_vjp"
+    device_of(name, picture=saved.splats, rows=rows, v_rgb=v_rgb)
+    given, centres = (
+        (saved.surface, saved.image | {"v_rgb": packed(v_rgb.float())}),
+        {"v_uv": v_uv, "v_uv_abs": v_uv_abs},
+    )
+    return gradients_of(name, "over_base:over_base_backward", saved, *given, rows=rows, **centres)

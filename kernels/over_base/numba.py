@@ -21,7 +21,6 @@ from numba import njit, prange
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
-from gsfusion_nb.geometry import se3
 from gsfusion_nb.render.over_base import Base, OverBaseOutput
 from gsfusion_nb.types import Camera, GaussianParams
 
@@ -50,13 +49,11 @@ from ..project.layout import (
     EXTENT_V,
     GREEN,
     RED,
-    SPLAT,
-    Params,
     U,
     V,
     pack_camera,
 )
-from ..project.numba import CHUNK, NOTED_PER_CHUNK, centre_vjp, project_rows, project_rows_vjp, row_sums
+from ..project.numba import gradients_of, project
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
 from ..runtime.numba.simd import LANES, any_lane, exp, load, minimum, negative_abs, reduce_add, select, splat, store
@@ -299,7 +296,6 @@ def _add_up(s, planes, height, width, out, abs_sums, m):
 
 _ALL_PIXELS = np.empty((0, 0), np.bool_)
 _ALL_ROWS = np.empty(0, np.bool_)
-_NAMES = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -322,27 +318,17 @@ def render_over_base(
     params: GaussianParams, camera: Camera, T_WC: Tensor, base: Base, *, behind_m: float
 ) -> tuple[OverBaseOutput, Any]:
     """See ``gsfusion_nb.render.render_over_base``."""
-    T = T_WC.detach().double()
-    cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
+    cam = pack_camera(camera, T_WC)
     N, H, W = len(params), camera.height, camera.width
-    splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
     rgb, depth_m, weight = (torch.empty(H, W, *n) for n in ((3,), (), ()))
     image = Blended(rgb.numpy(), depth_m.numpy(), weight.numpy())
     with launching():
-        noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
-        project_rows(_arrays(params), cam, tile_windows(_ALL_PIXELS, W, H), splats, count, noted)
+        splats, count, _ = project(params, cam, tile_windows(_ALL_PIXELS, W, H))
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count > 0, out=start[1:])
         blend_bands(splats, list_bands(splats, start, H), _surface(base), np.float32(behind_m), image)
     saved = NumbaSaved(
-        params=params,
-        camera=camera,
-        base=base,
-        behind_m=behind_m,
-        lens=cam,
-        splats=splats,
-        start=start,
-        image=image,
+        params=params, camera=camera, base=base, behind_m=behind_m, lens=cam, splats=splats, start=start, image=image
     )
     return OverBaseOutput(rgb=rgb, depth_m=depth_m, weight=weight), saved
 
@@ -357,9 +343,6 @@ def render_over_base_vjp(
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_over_base_vjp``."""
     trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
-    out = {
-        name: torch.empty_like(getattr(saved.params, name), memory_format=torch.contiguous_format) for name in _NAMES
-    }
     H, W = saved.image.weight.shape
     drawn, stride = np.flatnonzero(np.diff(saved.start)).astype(np.int32), stride_of(W)
     with launching():
@@ -370,21 +353,7 @@ def render_over_base_vjp(
         behind = np.float32(saved.behind_m)
         gradient_planes(saved.image, _surface(saved.base), behind, v_image, planes.reshape(PLANES, H, stride))
         splat_sums(saved.splats, drawn, trained, planes, (H, W), sums, abs_sums)
-        results = Params(*(out[name].numpy() for name in _NAMES))
-        project_rows_vjp(_arrays(saved.params), saved.lens, saved.splats, saved.start, trained, sums, results)
-        if v_uv is not None:
-            packed = v_uv.contiguous()
-            centre_vjp(saved.splats, saved.start, trained, sums, packed.numpy())
-            v_uv.copy_(packed)
-        if v_uv_abs is not None:
-            packed = v_uv_abs.contiguous()
-            row_sums(saved.start, trained, abs_sums, packed.numpy())
-            v_uv_abs.copy_(packed)
-    return GaussianParams(**out)
-
-
-def _arrays(params: GaussianParams) -> Params:
-    return Params(*(getattr(params, name).detach().contiguous().numpy() for name in _NAMES))
+        return gradients_of(saved, trained, sums, abs_sums, v_uv, v_uv_abs)
 
 
 def _surface(base: Base) -> Surface:

@@ -3,9 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
+from torch import Tensor
 
+from gsfusion_nb.geometry import se3
 from gsfusion_nb.render.constants import FRUSTUM_CLAMP
-from gsfusion_nb.types import Camera
+from gsfusion_nb.types import Camera, GaussianParams
 
 COLUMNS = U, V, CONIC_A, CONIC_B, CONIC_C, LN_OPACITY, RED, GREEN, BLUE, DEPTH, EXTENT_U, EXTENT_V = range(12)
 """Centre, pixels; inverse covariance, sigma = (A dx^2 + C dy^2) / 2 + B dx dy; ln(opacity); colour; z, metres; half the
@@ -53,7 +55,13 @@ class Params(NamedTuple):
     sh: np.ndarray
 
 
-def pack_camera(camera: Camera, T_CW: np.ndarray, centre_W: np.ndarray) -> np.ndarray:
+def arrays_of(params: GaussianParams) -> Params:
+    """The columns of a map as arrays; a copy of those with gaps."""
+    return Params(*(column.detach().contiguous().numpy() for column in vars(params).values()))
+
+
+def pack_camera(camera: Camera, T_WC: Tensor) -> np.ndarray:
     """The camera and its pose as one float32 array, in the order of the constants above."""
-    tail = [*projection_lens(camera), camera.width, camera.height]
-    return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], centre_W, tail]).astype(np.float32)
+    T = T_WC.detach().double()
+    T_CW, tail = se3.inverse(T).numpy(), [*projection_lens(camera), camera.width, camera.height]
+    return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], T[:3, 3].numpy(), tail]).astype(np.float32)

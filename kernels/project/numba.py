@@ -5,13 +5,17 @@ scalars here, so that a row is read once and its intermediate values stay in reg
 """
 
 import math
+from typing import Any
 
 import numpy as np
+import torch
 from numba import njit, prange
+from torch import Tensor
 
 from gsfusion_nb.render.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from gsfusion_nb.types import GaussianParams
 
-from ..binning.layout import FIRST_X, FIRST_Y, LAST_X, LAST_Y
+from ..binning.layout import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
 from ..composite.layout import (
     PAIR_SUMS,
     SUM_BLUE,
@@ -28,6 +32,7 @@ from ..composite.layout import (
 )
 from ..harmonics.numba import basis_into, gradient_into
 from ..runtime.numba import shared_cache as shared_cache  # before the functions are made
+from ..runtime.numba.launch import scratch
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
 from .layout import (
     BLUE,
@@ -59,12 +64,14 @@ from .layout import (
     R21,
     R22,
     RED,
+    SPLAT,
     T0,
     T1,
     T2,
     WIDTH,
     U,
     V,
+    arrays_of,
 )
 
 f32 = np.float32
@@ -202,6 +209,44 @@ def row_sums(start, trained, abs_sums, v_uv_abs):
                 u += abs_sums[slot, 0]
                 v += abs_sums[slot, 1]
         v_uv_abs[i, 0], v_uv_abs[i, 1] = u, v
+
+
+def project(params: GaussianParams, cam: np.ndarray, wanted: TileWindows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``splats``, ``count`` and ``noted`` of ``project_rows``; only inside ``launching``."""
+    N = len(params)
+    splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
+    noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
+    project_rows(arrays_of(params), cam, wanted, splats, count, noted)
+    return splats, count, noted
+
+
+def gradients_of(
+    saved: Any,
+    trained: np.ndarray,
+    sums: np.ndarray,
+    abs_sums: np.ndarray | None,
+    v_uv: Tensor | None,
+    v_uv_abs: Tensor | None,
+) -> GaussianParams:
+    """dL/d of the parameters of a drawn map from the sums of its splats; also fills dL/d of the centres if asked to.
+
+    Args:
+        saved: The map, ``params``; its camera, ``lens``; ``splats`` and ``start``, as for ``project_rows_vjp``.
+        trained, sums, abs_sums: As for ``project_rows_vjp`` and ``row_sums``.
+        v_uv, v_uv_abs: Of ``render_vjp``.
+    """
+    columns = vars(saved.params).items()
+    out = GaussianParams(**{name: torch.empty_like(x, memory_format=torch.contiguous_format) for name, x in columns})
+    project_rows_vjp(arrays_of(saved.params), saved.lens, saved.splats, saved.start, trained, sums, arrays_of(out))
+    if v_uv is not None:
+        packed = v_uv.contiguous()
+        centre_vjp(saved.splats, saved.start, trained, sums, packed.numpy())
+        v_uv.copy_(packed)
+    if v_uv_abs is not None:
+        packed = v_uv_abs.contiguous()
+        row_sums(saved.start, trained, abs_sums, packed.numpy())
+        v_uv_abs.copy_(packed)
+    return out
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

@@ -15,8 +15,7 @@ from gsfusion_nb.render.on_screen import ScreenGaussians
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.cuda import TileLists, list_tiles
-from ..project.cuda import centre_vjp, project_rows, project_rows_vjp
-from ..project.layout import SPLAT
+from ..project.cuda import gradients_of, project_rows
 from ..runtime.arguments import as_bytes, check_dtype, packed
 from ..runtime.cuda.launch import device_of, launch
 from .host import blank, screen_of
@@ -41,6 +40,11 @@ class CudaPicture(Record):
     """"rgb", "depth" and "alpha"."""
     pixels: Tensor | None
     """uint8, those to be drawn; ``None`` for all."""
+
+    @property
+    def work(self) -> dict[str, Any]:
+        """What the kernels are given."""
+        return self.lists.work(self.splats, self.camera, self.pixels)
 
     @property
     def screen(self) -> ScreenGaussians:
@@ -83,7 +87,7 @@ def render_forward(
     images = picture.image | {"first": out.first_index, "dominant": out.dominant_index, "hit": out.hit_index}
     kernel = f"composite:composite_{int(with_indices)}{int(with_hits)}"
     opaque = float(opaque_alpha or _NO_HIT_ALPHA)
-    launch("render_forward", kernel, picture.lists.n_tiles, _BLOCK, _work(picture), images, opaque)
+    launch("render_forward", kernel, picture.lists.n_tiles, _BLOCK, picture.work, images, opaque)
     return out, picture
 
 
@@ -103,21 +107,7 @@ def render_vjp(
         ValueError: tensors on several devices, a wrong mask.
     """
     gradients = {"v_rgb": v_rgb, "v_depth": v_depth_m, "v_alpha": v_alpha}
-    device = device_of("render_vjp", picture=saved.splats, rows=rows, **gradients)
+    device_of("render_vjp", picture=saved.splats, rows=rows, **gradients)
     seen = saved.image | {name: None if v is None else packed(v.float()) for name, v in gradients.items()}
-    trained = as_bytes(rows)
-    sums = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
-    kernel, tiles = "composite:composite_backward", saved.lists.n_tiles
-    if v_uv_abs is None:
-        launch("render_vjp", kernel, tiles, _BLOCK, _work(saved), seen, trained, sums)
-    else:
-        abs_sums = torch.zeros(len(saved.splats), 2, dtype=torch.float32, device=device)
-        launch("render_vjp", f"{kernel}_abs", tiles, _BLOCK, _work(saved), seen, trained, sums, abs_sums)
-        v_uv_abs.copy_(abs_sums)
-    if v_uv is not None:
-        centre_vjp(saved.splats, saved.depth, sums, rows, v_uv)
-    return project_rows_vjp(saved.params, saved.camera, saved.T_WC, saved.splats, saved.depth, sums, trained)
-
-
-def _work(picture: CudaPicture) -> dict[str, Any]:
-    return picture.lists.work(picture.splats, picture.camera, picture.pixels)
+    centres = {"v_uv": v_uv, "v_uv_abs": v_uv_abs}
+    return gradients_of("render_vjp", "composite:composite_backward", saved, seen, rows=rows, **centres)
