@@ -36,7 +36,7 @@ def adam_update_map(
 ) -> None:
     """See ``gsfusion_nb.optim.adam_update_map``."""
     operation = "adam_update_map"
-    device_of(operation, params=params.xyz_W)
+    device_of(operation, params.xyz_W)
     groups = [vars(rows) for rows in (params, gradients, exp_avg, exp_avg_sq)]
     is_float32 = params.xyz_W.dtype == torch.float32  # and all others are of the same type
     if not (is_float32 and all(column.is_contiguous() for group in groups for column in group.values())):
@@ -62,7 +62,7 @@ def adam_update(
     eps: float,
 ) -> None:
     """See ``gsfusion_nb.optim.adam_update``. ``lr`` may be on any device."""
-    device, total = device_of("adam_update", param=param), param.numel()
+    device, total = device_of("adam_update", param), param.numel()
     column = {"param": param, "gradient": gradient, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}
     if not is_simple(*column.values()) or total > _MOST_NUMBERS:
         reference.reference(**column, steps=steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)

@@ -59,7 +59,7 @@ def _entered(
     operation: str, volume: TsdfVolume, frame: Frame, table: dict[str, Any] | None = None
 ) -> tuple[dict[str, Any], list[int]] | None:
     """The blocks of the band and the counts; with a table also those that it lacks. None if no set is large enough."""
-    device = device_of(operation, volume=volume.D, depth_m=frame.depth_m)
+    device = device_of(operation, volume.D)
     check_dtype(operation, torch.float32, depth_m=frame.depth_m)
     config, camera, T = volume.config, frame.camera, frame.T_WC_cpu.double().numpy()
     position = T[:3, 3] / volume.block_size_m

@@ -27,15 +27,6 @@ class Image(NamedTuple):
     alpha: np.ndarray
 
 
-class Wanted(NamedTuple):
-    """What the gradient is computed for."""
-
-    pixels: np.ndarray
-    """bool [H, W], those that are drawn, or [0, 0] for all."""
-    rows: np.ndarray
-    """bool [N], splats whose gradient is wanted, or [0] for all."""
-
-
 class IndexImages(NamedTuple):
     """Rows of the first and of the heaviest splat of each pixel, and of the first opaque one; -1 for none.
 

@@ -260,14 +260,15 @@ _BACKWARD_STATE = 7 * PIXELS
 def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sums):
     """Per (tile, splat) sums of the loss gradient, written to ``pair_sums[slot[k]]`` [I, PAIR_SUMS].
 
-    wanted: the pixels that were given to the forward, and the rows whose sums are wanted; the sums of the others are
-    not written. image: as the forward made it. v_image: dL/d of it. abs_sums: [I, 2], to which the sums of |dL/du| and
-    |dL/dv| are written likewise, or None, for which this is compiled without them.
+    wanted: the pixels that were given to the forward, [0, 0] for all, and the rows whose sums are wanted, bool [N] or
+    [0] for all; the sums of the others are not written. image: as the forward made it. v_image: dL/d of it. abs_sums:
+    [I, 2], to which the sums of |dL/du| and |dL/dv| are written likewise, or None, for which this is compiled without
+    them.
     With p_k = c_k . v_rgb + z_k v_depth + v_alpha:  dL/dalpha_k = T_k p_k - (sum_{j > k} w_j p_j) / (1 - alpha_k).
     The last sum starts as the whole pixel's, C . v_rgb + D v_depth + alpha v_alpha, and loses w_k p_k at each step.
     """
     ids, offset, slot = lists.ids, lists.offset, lists.slot
-    pixels, trained = wanted.pixels, wanted.rows
+    pixels, trained = wanted
     all_trained = trained.shape[0] == 0
     height, width = image.depth.shape
     tiles_x = (width + TILE - 1) // TILE

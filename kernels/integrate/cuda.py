@@ -20,7 +20,7 @@ _OBSERVED, _N_COUNTS = 1, 2
 
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``; the published averages are left to the reference."""
-    device = device_of("fuse_frame_", volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
+    device = device_of("fuse_frame_", volume.D)
     check_dtype("fuse_frame_", torch.float32, volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
     n = volume.n_blocks
     if not n:

@@ -22,7 +22,7 @@ _WORDS = _EDGES // 32
 
 def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     """See ``gsfusion_nb.tsdf.extract_mesh``. The host waits once, for the size of the mesh."""
-    device = device_of("extract_mesh", volume=volume.D)
+    device = device_of("extract_mesh", volume.D)
     check_dtype("extract_mesh", torch.float32, volume=volume.D)
     B, coords = volume.n_blocks, volume.block_coords
     field = {"D": volume.D, "W": volume.W, "neighbour": _neighbours(volume), "min_weight": min_weight}

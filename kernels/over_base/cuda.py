@@ -56,7 +56,7 @@ def render_over_base(
         ValueError: tensors on several devices or of several types.
     """
     name = "render_over_base"
-    device = device_of(name, **vars(params), **vars(base))
+    device = device_of(name, params.xyz_W)
     check_dtype(name, torch.float32, **vars(params), **vars(base))
     pose = packed(T_WC.to(device, torch.float32))
     splats, depth = project_rows(params, camera, pose)
@@ -92,7 +92,7 @@ def render_over_base_vjp(
         ValueError: tensors on several devices.
     """
     name = "render_over_base_vjp"
-    device_of(name, picture=saved.splats, rows=rows, v_rgb=v_rgb)
+    device_of(name, v_rgb)
     given, centres = (
         (saved.surface, saved.image | {"v_rgb": packed(v_rgb.float())}),
         {"v_uv": v_uv, "v_uv_abs": v_uv_abs},

@@ -20,7 +20,7 @@ def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[
     N, device = len(params), T_WC.device
     splats = torch.empty(N, SPLAT, dtype=torch.float32, device=device)
     depth = torch.empty(N, dtype=torch.float32, device=device)
-    given, size = (_arrays(params) | {"pose": T_WC}, projection_lens(camera)._asdict()), (camera.width, camera.height)
+    given, size = (_arrays(params) | {"pose": T_WC}, projection_lens(camera)), (camera.width, camera.height)
     kernel = f"project:project_{params.sh.shape[1]}"
     launch("render_forward", kernel, parts(N, _BLOCK), _BLOCK, *given, splats, depth, N, *size)
     return splats, depth
@@ -60,7 +60,7 @@ def gradients_of(
         drawn = depth.isfinite() if rows is None else depth.isfinite() & rows
         v_uv.copy_(torch.where(drawn[:, None], torch.stack([A * g_x + B * g_y, B * g_x + C * g_y], dim=1), 0.0))
     out = {name: torch.empty_like(array) for name, array in arrays.items()}
-    view, blocks = (arrays | {"pose": saved.T_WC}, projection_lens(saved.camera)._asdict()), parts(N, _BLOCK)
+    view, blocks = (arrays | {"pose": saved.T_WC}, projection_lens(saved.camera)), parts(N, _BLOCK)
     kernel = f"project:project_vjp_{params.sh.shape[1]}"
     launch(operation, kernel, blocks, _BLOCK, *view, splats, depth, sums, trained, out, N)
     return GaussianParams(**out)

@@ -30,7 +30,7 @@ def quadtree(
     contrast: Literal["released", "std"] = "released",
 ) -> Cells:
     """See ``gsfusion_nb.seeding.quadtree``."""
-    device = device_of("quadtree", rgb_u8=rgb_u8)
+    device = device_of("quadtree", rgb_u8)
     height, width = rgb_u8.shape[:2]
     levels = deepest_level(width, height, min_cell_px)
     leaves, total = torch.empty(_ROOT + (4**levels - 1) // 3, dtype=torch.int32, device=device), 1

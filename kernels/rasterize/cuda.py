@@ -68,7 +68,7 @@ def render_forward(
     Raises:
         ValueError: tensors on several devices or of several types, a wrong mask.
     """
-    device = device_of("render_forward", **vars(params), pixels=pixels)
+    device = device_of("render_forward", params.xyz_W)
     check_dtype("render_forward", torch.float32, **vars(params))
     with_hits = opaque_alpha is not None
     pose = packed(T_WC.to(device, torch.float32))
@@ -107,7 +107,7 @@ def render_vjp(
         ValueError: tensors on several devices, a wrong mask.
     """
     gradients = {"v_rgb": v_rgb, "v_depth": v_depth_m, "v_alpha": v_alpha}
-    device_of("render_vjp", picture=saved.splats, rows=rows, **gradients)
+    device_of("render_vjp", v_rgb)
     seen = saved.image | {name: None if v is None else packed(v.float()) for name, v in gradients.items()}
     centres = {"v_uv": v_uv, "v_uv_abs": v_uv_abs}
     return gradients_of("render_vjp", "composite:composite_backward", saved, seen, rows=rows, **centres)

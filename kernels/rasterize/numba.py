@@ -19,7 +19,7 @@ from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.layout import check_pairs
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
-from ..composite.layout import PAIR_SUMS, TILE, Image, IndexImages, PairLists, Wanted
+from ..composite.layout import PAIR_SUMS, TILE, Image, IndexImages, PairLists
 from ..composite.numba import composite_backward, composite_forward
 from ..project.layout import pack_camera
 from ..project.numba import gradients_of, project
@@ -101,7 +101,7 @@ def render_vjp(
     """See ``gsfusion_nb.render.render_vjp``."""
     trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
     v_image = (_NO_IMAGE if v is None else v.contiguous().float().numpy() for v in (v_rgb, v_depth_m, v_alpha))
-    wanted, n_pairs = Wanted(pixels=saved.pixels, rows=trained), len(saved.lists.ids)
+    wanted, n_pairs = (saved.pixels, trained), len(saved.lists.ids)
     with launching():
         pair_sums = scratch("pair_sums", n_pairs * PAIR_SUMS).reshape(-1, PAIR_SUMS)
         abs_sums = None if v_uv_abs is None else scratch("abs_sums", n_pairs * 2).reshape(-1, 2)

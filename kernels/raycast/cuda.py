@@ -25,7 +25,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     device, n, coords = volume.device, volume.n_blocks, volume.block_coords
     if volume.D.dtype != torch.float32 or (n and volume.index.table is None):
         return reference.reference(volume, camera, T_WC)
-    device_of("raycast", volume=volume.D)
+    device_of("raycast", volume.D)
     H, W, config = camera.height, camera.width, volume.config
     depth, normal, rgb = ((torch.empty if n else torch.zeros)(H, W, *k, device=device) for k in ((), (3,), (3,)))
     out = RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)

@@ -55,28 +55,12 @@ _INFINITE = f32(np.inf)
 _MARGIN = f32(0.01)
 
 
-class Rays(NamedTuple):
-    """x / z of every four columns and y / z of every four rows, for four by four pixels [N, 16]; the pose [4, 4]."""
-
-    x: np.ndarray
-    y: np.ndarray
-    T_WC: np.ndarray
-
-
 class Sizes(NamedTuple):
     """Edge of a voxel, truncation distance and edge of a block, metres."""
 
     voxel: float | np.float32
     truncation: float | np.float32
     block: float | np.float32
-
-
-class Blocks(NamedTuple):
-    """The blocks [B, 3] and the values of their voxels, block after block."""
-
-    coords: np.ndarray
-    D: np.ndarray
-    W: np.ndarray
 
 
 class Marked(NamedTuple):
@@ -210,7 +194,7 @@ as long as about so many rays take to ask for W as well; fresh memory for the co
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def look_up(blocks, T_CW, lens, sizes, size, tile_px, marked, spans):
-    """Which blocks rays can meet, and where.
+    """Which blocks rays can meet, and where. blocks: [B, 3], and D and W of their voxels, block after block.
 
     Sets ``spans`` [rows, columns, 2] to the depths between which the rays of each tile of pixels can meet a block, and
     ``marked`` to D where a voxel has been observed, else infinity, in the blocks that rays may look up. Those are the
@@ -317,11 +301,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     depth, normal, rgb = (torch.empty(camera.height, camera.width, *n) for n in ((), (3,), (3,)))
     x, y = ray_slopes(camera)
     pose = T_WC.detach().cpu()
-    rays = Rays(
-        x=_in_fours(x).tile(1, 4).numpy(),
-        y=_in_fours(y).repeat_interleave(4, 1).numpy(),
-        T_WC=pose.to(torch.float32).numpy(),
-    )
+    rays = _in_fours(x).tile(1, 4).numpy(), _in_fours(y).repeat_interleave(4, 1).numpy(), pose.to(torch.float32).numpy()
     lens, size = lens_of(camera, f32), (camera.height, camera.width)
     config = volume.config
     exact = Sizes(voxel=config.voxel_size_m, truncation=config.truncation_m, block=volume.block_size_m)
@@ -329,7 +309,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     rows, low, blocks = lookup
     table = BlockTable(rows=rows.numpy(), low=low.numpy().astype(np.int32), size=np.array(blocks, np.int32))
     D, W, colours = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes))
-    blocks = Blocks(coords=volume.block_coords.numpy(), D=D, W=W)
+    blocks = volume.block_coords.numpy(), D, W
     T_CW = se3.inverse(pose.double()).numpy()
     spans = np.empty((parts(camera.height, TILE_PX), parts(camera.width, TILE_PX), 2), np.float32)
     with launching():
@@ -456,8 +436,11 @@ def _refined(table, field, origin, direction, voxel, bracket, found):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _march(table, field, C, rays, sizes, spans, tile_px, depth, normal, rgb):
-    """Fill the three pictures, four by four rays at a time; zero where no ray meets a surface observed on all sides."""
-    T = rays.T_WC
+    """Fill the three pictures, four by four rays at a time; zero where no ray meets a surface observed on all sides.
+
+    rays: x / z of every four columns and y / z of every four rows, for four by four pixels [N, 16]; the pose [4, 4].
+    """
+    x, y, T = rays
     height, width = depth.shape
     ny, nx = spans.shape[0], spans.shape[1]
     packets = tile_px // 4
@@ -472,7 +455,7 @@ def _march(table, field, C, rays, sizes, spans, tile_px, depth, normal, rgb):
             v0, u0 = 4 * i, 4 * j
             if v0 >= height or u0 >= width:
                 continue
-            sx, sy = load(rays.x[j], 0), load(rays.y[i], 0)
+            sx, sy = load(x[j], 0), load(y[i], 0)
             dx = splat(T[0, 0]) * sx + splat(T[0, 1]) * sy + splat(T[0, 2])
             dy = splat(T[1, 0]) * sx + splat(T[1, 1]) * sy + splat(T[1, 2])
             dz = splat(T[2, 0]) * sx + splat(T[2, 1]) * sy + splat(T[2, 2])

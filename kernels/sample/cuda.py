@@ -18,7 +18,7 @@ _BLOCK = 128
 
 def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     """See ``gsfusion_nb.tsdf.sample_voxels``."""
-    device_of("sample_voxels", volume=volume.D, xyz_W=xyz_W)
+    device_of("sample_voxels", volume.D)
     if _is_left_to_the_reference(volume, xyz_W):
         return tsdf.sample_voxels.reference(volume, xyz_W)
     points, out = _points(xyz_W), _blank(xyz_W)
@@ -30,7 +30,7 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
 def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: tsdf.NewBlocks, xyz_W: Tensor) -> TsdfSample:
     """See ``gsfusion_nb.tsdf.sample_fused_voxels``; the published averages are left to the reference."""
     name, images = "sample_fused_voxels", {"depth_m": frame.depth_m, "rgb": frame.rgb}
-    device_of(name, volume=volume.D, codes=missing.codes, xyz_W=xyz_W, **images)
+    device_of(name, volume.D)
     check_dtype(name, torch.float32, volume=volume.D, **images)
     if volume.config.average != "mean" or _is_left_to_the_reference(volume, xyz_W):
         return tsdf.sample_fused_voxels.reference(volume, frame, missing, xyz_W)

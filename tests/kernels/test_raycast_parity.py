@@ -82,7 +82,7 @@ def test_no_size_of_tile_loses_a_surface(tile_px, mapped, monkeypatch):
 
 def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
     """Blocks that no ray can meet do not count: all rays start at the nearest block of their tile, or never."""
-    from gsfusion_nb.kernels.raycast.numba import NEAR_END, Blocks, Sizes, look_up
+    from gsfusion_nb.kernels.raycast.numba import NEAR_END, Sizes, look_up
     from gsfusion_nb.kernels.runtime.arguments import lens_of
 
     _, frames = mapped
@@ -90,7 +90,7 @@ def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
     beside.add_blocks(torch.tensor([[10, 0, 0], [-10, 0, 0], [0, -8, 0], [0, 0, 20], [0, 0, -3]]))
     camera = frames[0].camera
     lens, size = lens_of(camera), (camera.height, camera.width)
-    blocks = Blocks(coords=beside.block_coords.numpy(), D=beside.D.view(-1).numpy(), W=beside.W.view(-1).numpy())
+    blocks = beside.block_coords.numpy(), beside.D.view(-1).numpy(), beside.W.view(-1).numpy()
     sizes = Sizes(voxel=CONFIG.voxel_size_m, truncation=CONFIG.truncation_m, block=beside.block_size_m)
     spans = torch.empty(15, 20, 2).numpy()
     look_up(

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from gsfusion_nb.backends import BackendUnavailable
 
-from ..arguments import one_device
 from . import driver, nvrtc
 from .structs import signature
 
@@ -37,13 +36,13 @@ if _reason := _why_unavailable():  # here and not in the package: every kernel i
     raise BackendUnavailable(_reason)
 
 
-def device_of(operation: str, **tensors: Tensor | None) -> torch.device:
-    """The one device of all ``tensors``.
+def device_of(operation: str, tensor: Tensor) -> torch.device:
+    """The device of a tensor; the check of the operation has seen that all others are there.
 
     Raises:
-        ValueError: they are on several. BackendUnavailable: the kernels do not run there.
+        BackendUnavailable: the kernels do not run there.
     """
-    device = one_device(operation, tensors)
+    device = tensor.device
     if device.type != ("cpu" if _EMULATOR else "cuda"):
         raise BackendUnavailable(f"{operation}: backend 'cuda' takes CUDA tensors, got tensors on {device}")
     return device
