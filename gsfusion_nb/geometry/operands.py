@@ -48,13 +48,6 @@ def check_operand(
         )
 
 
-def check_written(**outputs: Tensor) -> None:
-    """Raise ``ValueError`` for a tensor that an operation writes to and whose elements share memory."""
-    for name, value in outputs.items():
-        if not value.is_contiguous() and 0 in value.stride() and value.numel() > 1:
-            raise ValueError(f"{name} is written to and must not be an expanded view, got strides {value.stride()}")
-
-
 def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
     """Raise ``ValueError`` unless the columns of ``params`` fit together (or, as gradients, those of ``like``)."""
     if not isinstance(params, GaussianParams):

@@ -13,7 +13,7 @@ from ..backends import observed, op
 from ..checks import check_number
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
-from ..geometry.operands import INTEGERS, check_gaussians, check_operand, check_written
+from ..geometry.operands import INTEGERS, check_gaussians, check_operand
 from ..types import GaussianParams
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
@@ -35,7 +35,6 @@ def check_adam(
     check_operand("param", param, ("N", *("W",) * (getattr(param, "ndim", 1) - 1)))
     for name, value in {"gradient": gradient, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
         check_operand(name, value, tuple(param.shape), dtypes=(param.dtype,), device=param.device)
-    check_written(param=param, exp_avg=exp_avg, exp_avg_sq=exp_avg_sq)
     if isinstance(lr, Tensor):
         check_operand("lr", lr, tuple(param.shape[1:]), device=None if lr.device.type == "cpu" else param.device)
     else:
@@ -137,8 +136,6 @@ def check_adam_map(
             check_gaussians(rows, like=params)
         except ValueError as e:
             raise ValueError(f"{name}.{e}") from None
-    for name, rows in {"params": params, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
-        check_written(**{f"{name}.{column}": value for column, value in vars(rows).items()})
     if not isinstance(rates, ColumnRates):
         raise ValueError(f"rates must be ColumnRates, got {type(rates).__name__}")
     for name, rate in rates._asdict().items():
