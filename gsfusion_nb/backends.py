@@ -209,8 +209,7 @@ def load(name: str, backend: str) -> Callable:
 def use_backend(backend: str) -> Iterator[None]:
     """Run operations on ``backend`` inside the block: "auto", "reference", "numba", "triton", "cuda", "mine".
 
-    With "numba", "triton" or "cuda", an operation that only other compiled backends offer raises
-    ``BackendUnavailable``; one that none of them offers runs on the reference. "mine" runs
+    With "numba", "triton" or "cuda", an operation that this backend does not offer runs on the reference. "mine" runs
     the functions that a learner wrote, and the reference for all other operations.
 
     Raises:
@@ -281,7 +280,7 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
         return lambda *args, **kwargs: _run_counted(name, _OPS[name], args, kwargs)
     if choice != "auto":
         check_name("backend", choice, ("auto", *BACKENDS))  # it may be from the environment
-        return load(name, choice if offered(name) else "reference")
+        return load(name, choice if choice in offered(name) else "reference")
     if not offered(name):
         return _OPS[name]
     device = next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
