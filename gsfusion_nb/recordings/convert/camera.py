@@ -11,9 +11,8 @@ import torch
 from ...checks import shown
 from ...data.adjust.resize import resize_colour
 from ...data.lens import TIE, CameraModel, pixel_map, same_rays, warp_depth, z_of_range
-from ...data.recorded.files import number, numbers
 from ...data.sequence import SequenceError
-from ...files import read_object
+from ...files import parsing, read_object
 from ...types import Camera
 from .recording import RecordedFrame, RgbdImages
 from .trajectory import read_numbers
@@ -84,27 +83,21 @@ def model_of_matrix(values: list[float], size: tuple[int, int], source: str, *, 
 
 def intrinsics_of_json(path: Path, size: tuple[int, int] | None, *, centre: float = 0.0) -> CameraModel:
     """Camera of Open3D's camera_intrinsic.json (column-major ``intrinsic_matrix``), or of keys fx, fy, cx, cy."""
-    values = read_object(path, f"the camera's intrinsics as {_WAYS}")
-    return model_of_object(values, size, str(path), centre=centre)
+    return model_of_object(read_object(path, f"the camera's intrinsics as {_WAYS}"), size, str(path), centre=centre)
 
 
 def model_of_object(values: dict[str, Any], size: tuple[int, int] | None, source: str, *, centre: float) -> CameraModel:
     """Camera of a JSON object (``intrinsics_of_json``)."""
-    path = Path(source)
-    if "width" in values or size is None:
-        checked = numbers(values, ("width", "height"), path)
-        size = (round(checked["width"]), round(checked["height"]))
-    if "intrinsic_matrix" in values:
-        matrix = values["intrinsic_matrix"]
-        plain = isinstance(matrix, list) and all(type(v) in (int, float) for v in matrix)
-        if not plain or len(matrix) != 9:
-            raise SequenceError(f"{source}: intrinsic_matrix must hold 9 numbers, column by column")
-        rows = [float(matrix[i]) for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)]
-        return model_of_matrix(rows, size, f"{source}: intrinsic_matrix (column by column)", centre=centre)
-    checked = numbers(values, ("fx", "fy", "cx", "cy"), path)
-    distortion = tuple(number(values, k, 0.0, source) for k in ("k1", "k2", "p1", "p2", "k3"))
-    centre = number(values, "pixel_centre", centre, source)
-    return model_of([checked[k] for k in ("fx", "fy", "cx", "cy")], size, source, centre=centre, distortion=distortion)
+    with parsing(source, "intrinsic_matrix of 9 numbers, column by column, or fx, fy, cx, cy"):
+        if "width" in values or size is None:
+            size = (round(values["width"]), round(values["height"]))
+        if "intrinsic_matrix" in values:
+            rows = [float(values["intrinsic_matrix"][i]) for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)]
+            return model_of_matrix(rows, size, f"{source}: intrinsic_matrix (column by column)", centre=centre)
+        pinhole = [float(values[k]) for k in ("fx", "fy", "cx", "cy")]
+        distortion = tuple(float(values.get(k, 0.0)) for k in ("k1", "k2", "p1", "p2", "k3"))
+        centre = float(values.get("pixel_centre", centre))
+    return model_of(pinhole, size, source, centre=centre, distortion=distortion)
 
 
 _map = lru_cache(maxsize=4)(pixel_map)
