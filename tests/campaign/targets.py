@@ -198,7 +198,7 @@ def archive(path: Path) -> None:
     from gsfusion_nb.recordings.fetch import unpack
 
     folder = path.parent / "unpacked-by-the-campaign"
-    unpack(path, folder, max_bytes=100_000_000)
+    unpack(path, folder)
     inside = {p.resolve() for p in folder.rglob("*")}
     _need(all(p.is_relative_to(folder.resolve()) for p in inside), "a member outside of the folder")
     shutil.rmtree(folder)

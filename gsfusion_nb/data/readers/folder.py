@@ -16,12 +16,10 @@ Keys of ``intrinsics.json``: those seven, and optionally
 | ``pixel_centre`` | 0.0 | place of the first pixel's centre: 0.0 as in OpenCV, Open3D, ROS; 0.5 as in COLMAP |
 | ``depth_invalid`` | 0 | a stored depth that means "missing", besides 0 |
 | ``fps`` | 30 | frames per second, for the time stamps where there is no times.txt |
-| ``first_image`` | none | number in the name of the first pose's image; poses then belong to images by number |
 | ``pose_convention`` | "camera-to-world" | must begin with that; any comment may follow |
 
 Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images sort naturally (2 before 10). Where
-lines of poses.txt begin with names, or with ``first_image``, an image may be missing; else there are as many poses as
-images.
+lines of poses.txt begin with names, an image may be missing; else there are as many poses as images.
 """
 
 from pathlib import Path
@@ -38,7 +36,7 @@ from ..sequence import SequenceError
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
 _CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 _REQUIRED = (*_CAMERA_KEYS, "depth_scale")
-_OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "first_image", "pose_convention")
+_OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "pose_convention")
 
 
 def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
@@ -62,7 +60,7 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     rgb_files = images_in(root / "rgb")
     depth_files = pair_by_stem(rgb_files, images_in(root / "depth", (".png", ".tif", ".tiff", ".pgm")))
     poses_file = root / "poses.txt"
-    T_WC = poses_of_images(poses_file, rgb_files, values.get("first_image")) if poses else no_poses(len(rgb_files))
+    T_WC = poses_of_images(poses_file, rgb_files) if poses else no_poses(len(rgb_files))
     times, no_times = times_of_images(root / TIMES, rgb_files)
     return recording_of(
         root,
@@ -104,9 +102,6 @@ def read_intrinsics(path: Path) -> dict[str, Any]:
     invalid = values.get("depth_invalid", 0)
     if isinstance(invalid, bool) or not isinstance(invalid, int) or not 0 <= invalid <= 65535:
         raise SequenceError(f"{path}: depth_invalid must be an integer between 0 and 65535, got {shown(invalid)}")
-    first = values.get("first_image", 0)
-    if isinstance(first, bool) or not isinstance(first, int) or first < 0:
-        raise SequenceError(f"{path}: first_image must be a whole number from 0 on, got {shown(first)}")
     convention = values.get("pose_convention", "camera-to-world")
     if not str(convention).startswith("camera-to-world"):
         raise SequenceError(

@@ -16,7 +16,7 @@ from torch import Tensor
 from ...checks import shown
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
-from ..recorded.files import given_name, natural_order, own_names, require
+from ..recorded.files import given_name, natural_order, require
 from ..recorded.poses import interpolate_rows, matrices, no_poses, read_stamped_poses
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import associate, judge_stamps, read_image_list
@@ -121,7 +121,7 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
 
 def benchmark_camera(folder: Path) -> str:
     """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name counts. Empty if none."""
-    names = own_names(folder)
+    names = (given_name(folder), folder.resolve().name)
     return next((n for f in names for n in LENSES if n in f or n.replace("freiburg", "fr") in f), "")
 
 

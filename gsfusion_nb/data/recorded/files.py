@@ -20,11 +20,6 @@ def given_name(folder: Path) -> str:
     return os.path.basename(os.path.abspath(folder))
 
 
-def own_names(folder: Path) -> list[str]:
-    """The names by which a folder may be recognised: as it was given and, of a link, that of the folder it leads to."""
-    return [name for name in dict.fromkeys((given_name(folder), folder.resolve().name)) if name]
-
-
 def require(root: Path, names: tuple[str, ...], layout: str, *, without_poses: str = "") -> None:
     """Raise ``SequenceNotFoundError`` unless ``root`` is a folder that holds all of ``names``.
 

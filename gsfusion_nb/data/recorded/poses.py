@@ -208,11 +208,11 @@ def image_number(image: Path) -> int | None:
     return None if match is None else int(match[0])
 
 
-def poses_of_images(path: Path, images: list[Path], first_image: int | None) -> Float[Tensor, "N 4 4"]:
+def poses_of_images(path: Path, images: list[Path]) -> Float[Tensor, "N 4 4"]:
     """The pose of each image in a finished ``poses.txt``; float64, not yet checked. [N, 4, 4]
 
     Lines that begin with a name belong to the image of that name. Lines of numbers alone belong to the images in order,
-    one each; with ``first_image`` to the images by the number at the end of their names, from that number on.
+    one each.
 
     Raises:
         SequenceError: a line that is not 16 numbers, an image without line, two lines of one name, or, where lines go
@@ -228,9 +228,14 @@ def poses_of_images(path: Path, images: list[Path], first_image: int | None) -> 
             raise SequenceError(f"{path} line {number} must hold 16 numbers ({POSE_LINE}), got {got}") from None
         names.append(name)
     table = torch.stack(rows)
-    if all(name is None for name in names):
-        return table[_lines_by_number(path, len(rows), images, first_image)]
-    return table[_lines_by_name(path, names, images)]
+    if any(name is not None for name in names):
+        return table[_lines_by_name(path, names, images)]
+    if len(rows) != len(images):
+        raise SequenceError(
+            f"{path} holds {len(rows)} poses; expected {len(images)}, one per image in {images[0].parent}; if images "
+            "are missing, put the name of its image before each pose"
+        )
+    return table
 
 
 def _lines_by_name(path: Path, names: list[str | None], images: list[Path]) -> list[int]:
@@ -245,21 +250,3 @@ def _lines_by_name(path: Path, names: list[str | None], images: list[Path]) -> l
     if lacking:
         raise SequenceError(f"{path} has no pose of {lacking[0]}; expected one per image")
     return [line_of[image_key(image.stem)] for image in images]
-
-
-def _lines_by_number(path: Path, n_lines: int, images: list[Path], first_image: int | None) -> list[int]:
-    if first_image is not None:
-        lines = [-1 if (n := image_number(image)) is None else n - first_image for image in images]
-        bad = [image for image, line in zip(images, lines, strict=True) if not 0 <= line < n_lines]
-        if bad:
-            raise SequenceError(
-                f"{path} holds {n_lines} poses, from image {first_image} on; expected one for {bad[0]} among them"
-            )
-        return lines
-    if n_lines != len(images):
-        raise SequenceError(
-            f"{path} holds {n_lines} poses; expected {len(images)}, one per image in {images[0].parent}; if images are "
-            "missing, put first_image, the number of the first line's image, into intrinsics.json, or the name of its "
-            "image before each pose"
-        )
-    return list(range(n_lines))

@@ -27,10 +27,10 @@ class GrowingFolder(LiveSource):
 
     A frame counts when both its images end as PNG and JPEG files do, and, unless the camera is to be tracked, its line
     of ``poses.txt`` is written. A line "name r00 r01 ... r33" belongs to the image of that name; lines of numbers alone
-    belong to images by the number in their names, from 0 or ``first_image`` on, so that a missing image does not shift
-    the poses. Frames come in natural order of their names. One whose images stay incomplete for ``patience_s`` while
-    later ones are there raises ``BadFrameError``, and so does a later file that sorts before the frames already taken;
-    poses are waited for.
+    belong to images by the number in their names, from 0 on, so that a missing image does not shift the poses. Frames
+    come in natural order of their names. One whose images stay incomplete for ``patience_s`` while later ones are there
+    raises ``BadFrameError``, and so does a later file that sorts before the frames already taken; poses are waited
+    for.
 
     The iteration ends after the last frame when a file named ``stop_file`` is in the folder or nothing new has come for
     ``idle_s``, or immediately with ``stop``.
@@ -175,13 +175,13 @@ class GrowingFolder(LiveSource):
 
     def _number(self, image: Path) -> int:
         """Which line without a name is the image's, from 0."""
-        number, first = image_number(image), self._values.get("first_image")
-        if number is None or (first is None and number != 0 and not self._done):
+        number = image_number(image)
+        if number is None or (number != 0 and not self._done):
             raise SequenceError(
                 f"it is not clear which line of {self._poses_file} belongs to {image}; begin each line with the name "
-                "of its image, or give first_image, the number of the first line's image, in intrinsics.json"
+                "of its image"
             )
-        return number - (first or 0)
+        return number
 
     def _take(self, image: Path, line: str) -> Frame:
         by_number = self.has_poses and not self._line_of_name
