@@ -12,6 +12,10 @@ class TrackingConfig(Settings, group="tracking"):
 
     poses: Literal["given", "tracked"] = "given"
     """"given": poses of the data; "tracked": poses are estimated, and only the first frame's comes from the data."""
+    pose_jumps: Literal["skip", "map"] = "skip"
+    """What happens to a frame whose given pose is farther from the last one than a camera moves: more than 2 m a frame
+    and 20 m/s by the time stamps, or 120 degrees a frame and 1500 degrees/s. "skip": it is not mapped, and the run says
+    so; frames that go on from there are mapped. "map": it is mapped, and the run says so."""
     pyramid: tuple[int, ...] = within((8, 4, 2), 1, 1000)
     """Reduction of the image on each level, coarse to fine (code: 4, 2, 1). Larger first numbers: tolerates faster
     motion. A last level of 1 takes twice the time and gave no better poses, worse ones with noisy depth."""

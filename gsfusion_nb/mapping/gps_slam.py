@@ -54,6 +54,13 @@ class GPSSLAM(TsdfMapping):
         self._kept_bases: dict[int, BasedView] = {}
         self._discs: tuple[int, GaussianParams | None] = (0, None)
         """Number of frames when the surface was made discs last, and these."""
+        followed = gps_slam_fidelity(self.config).partition(",")[0]
+        if followed in ("code", "paper"):
+            self.notes.append(
+                f'GPS-SLAM with the fidelity "{followed}" still differs in what is not a setting, such as the order of '
+                'a frame, the colours of voxels, the cut of alpha and, for "paper", its structural and depth losses '
+                "(docs/gps_slam.md)"
+            )
 
     def map_frame(self, frame: Frame) -> StepReport:
         """Propose seeds where the surface's picture is wrong, append, optimise views of the round, fuse.

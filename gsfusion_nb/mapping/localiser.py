@@ -31,6 +31,11 @@ OFF_M = 0.02
 OFF_DEG = 1.0
 """ICP starts from the landmarks' pose where it differs by more than this from the predicted one."""
 
+FASTEST_M_S, FASTEST_DEG_S = 20.0, 1500.0
+"""No camera in a hand, on a robot or on a slow car moves or turns faster."""
+FARTHEST_STEP_M, FARTHEST_STEP_DEG = 2.0, 120.0
+"""Up to this for each frame between them two poses are no jump at any speed: time stamps may be missing or wrong."""
+
 _BLOCK = 1024
 """Number of poses that are stored in one tensor."""
 
@@ -52,6 +57,11 @@ class Localiser:
         self._block, self._n_kept = torch.zeros(_BLOCK, 4, 4), 0
         self.report: dict[str, Any] = {}
         """How the last frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
+        self.jump = ""
+        """How far the given pose of the last frame is from those before, if no camera moves so fast; else empty."""
+        self._mapped: dict[str, Any] | None = None
+        self._refused: dict[str, Any] | None = None
+        """Index, time and given pose of the frame mapped last, and of one refused since: the next may go on there."""
         self._tracker = Tracker(config)
         self._found: Any = None
         """State of the tracker before the frame that it tracked last, until that frame is recorded."""
@@ -115,10 +125,12 @@ class Localiser:
         """The frame with its pose in the map.
 
         Raises:
-            BadFrameError: tracking is lost and could not recover with this frame.
+            BadFrameError: tracking is lost and could not recover with this frame; or the given pose is a jump that no
+                camera makes, both from the last mapped frame and from a frame just refused.
         """
         self.report, self._found = {}, None
         if not self.is_tracking:
+            self._check_jump(frame)
             return frame
         before, (seen, guess) = self._tracker.standing, self._see(frame)
         try:
@@ -140,6 +152,16 @@ class Localiser:
             self.report["doubt"] = found.doubt
         return dataclasses.replace(frame, T_WC=found.T_WC.to(frame.T_WC))
 
+    def _check_jump(self, frame: Frame) -> None:
+        self.jump = "" if self._mapped is None else jump_from(self._mapped, frame)
+        goes_on = self._refused is not None and not jump_from(self._refused, frame)
+        if self.jump and self.config.pose_jumps == "skip" and not goes_on:
+            self._refused = _stand_of(frame)
+            raise BadFrameError(
+                f"frame {frame.index} cannot be mapped: {self.jump}. Frames that go on from there are mapped. If the "
+                "pose is right: --tracking.pose-jumps map"
+            )
+
     def take_back(self) -> None:
         """Undo the last ``locate``, because its frame was not mapped."""
         if self._found is not None:
@@ -152,6 +174,7 @@ class Localiser:
         self.given.append(self.poses[-1])
         self.frame_indices.append(frame.index)
         if not self.is_tracking:
+            self._mapped, self._refused = _stand_of(frame), None
             return None
         return self._remember(frame)
 
@@ -238,6 +261,7 @@ class Localiser:
             "poses": torch.stack(self.poses) if self.poses else torch.zeros(0, 4, 4),
             "given": torch.stack(self.given) if self.is_refined else None,
             "frame_indices": torch.tensor(self.frame_indices, dtype=torch.int64),
+            "stands": [self._mapped, self._refused],
             "tracker": self._tracker.state_dict(),
             "camera": None if self.camera is None else vars(self.camera),
             "back_end": None if self._back_end is None else self._back_end.state_dict(),
@@ -252,6 +276,7 @@ class Localiser:
         self.given = list(self.poses)
         if state["given"] is not None:
             self.given = [self._kept(T_WC) for T_WC in state["given"].cpu()]
+        self._mapped, self._refused = state["stands"]
         self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
         if state["camera"] is not None:
             camera, saved = Camera(**state["camera"]), state["back_end"]
@@ -259,6 +284,25 @@ class Localiser:
         for name, part in (("map", self._map), ("database", self._database)):
             if state[name] is not None and part is not None:
                 part.load_state(state[name])
+
+
+def _stand_of(frame: Frame) -> dict[str, Any]:
+    """Where a frame was taken, and when."""
+    return {"index": frame.index, "timestamp_s": frame.timestamp_s, "T_WC": frame.T_WC_cpu.clone()}
+
+
+def jump_from(stand: dict[str, Any], frame: Frame) -> str:
+    """How far the pose of a frame is from ``stand`` of an earlier one, in words, if no camera moves so fast."""
+    turned_deg, moved_m = (float(x) for x in se3.motion(stand["T_WC"], frame.T_WC_cpu))
+    seconds, frames = max(frame.timestamp_s - stand["timestamp_s"], 0.0), max(abs(frame.index - stand["index"]), 1)
+    most_m = max(FARTHEST_STEP_M * frames, FASTEST_M_S * seconds)
+    most_deg = max(FARTHEST_STEP_DEG * frames, FASTEST_DEG_S * seconds)
+    if moved_m <= most_m and turned_deg <= most_deg:
+        return ""
+    return (
+        f"its pose is {moved_m:.3g} m and {turned_deg:.0f} degrees from that of frame {stand['index']}, "
+        f"{seconds:.3g} s before; a camera moves at most {most_m:.3g} m and {min(most_deg, 180):.0f} degrees"
+    )
 
 
 def between(indices: Int[Tensor, " R"], values: Float[Tensor, "R D"], index: int) -> Float[Tensor, " D"]:

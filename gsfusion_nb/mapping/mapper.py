@@ -42,6 +42,9 @@ from .training import KeyframePasses, LossFunction, RandomStreams, Training, giv
 Draw = Callable[[Camera, Tensor], RenderOutput]
 """Renders a map for a camera and its camera-to-world pose."""
 
+FAR_DEPTH_M = 30.0
+"""A frame whose median depth is beyond this is doubtful: depth cameras measure up to 10 m."""
+
 M = TypeVar("M", bound="Mapper")
 
 
@@ -129,6 +132,7 @@ class Mapper(ABC):
         """Wall time of the stages of the last frame."""
         self.watch: Callable[[int | None], contextlib.AbstractContextManager[None]] = lambda _: contextlib.nullcontext()
         """Context around each frame (with its index) and each step after the scan (with None), for an observer."""
+        self._told_far = False
         self.n_frames = 0
         """Number of frames mapped so far."""
         self.notes: list[str] = []
@@ -471,9 +475,17 @@ class Mapper(ABC):
 
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
         """Warnings for the user about the step that gave ``report``, as sentences."""
-        warnings = []
+        warnings, depth_m = [], frame.depth_m[::8, ::8]
         if report.tracking.get("status") == "recovered":
             warnings.append(f"frame {frame.index}: tracking was lost and has recovered")
+        if self.localiser.jump:
+            warnings.append(f"frame {frame.index} was mapped although {self.localiser.jump}")
+        if not self._told_far and bool(depth_m[depth_m > 0].median() > FAR_DEPTH_M):
+            self._told_far = True
+            warnings.append(
+                f"frame {frame.index}, and perhaps later ones, has a median depth beyond {FAR_DEPTH_M:g} m: is it a "
+                "code for missing depth, or the wrong depth scale? --data.depth-max-m leaves it out"
+            )
         return warnings
 
     def _report(

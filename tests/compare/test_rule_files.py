@@ -1,5 +1,6 @@
 """What a rule reads besides the frame is part of its key: files of its options, helper modules, networks."""
 
+import functools
 import importlib
 import sys
 
@@ -9,6 +10,7 @@ import torch
 from gsfusion_nb.compare import Entrant
 from gsfusion_nb.compare.one_run import run_entry
 from gsfusion_nb.compare.run_all import ResultStore, run_all
+from gsfusion_nb.seeding import rule_fingerprint
 
 LEARNED = '''
 import functools
@@ -32,6 +34,10 @@ def learned(ctx: SeedContext, *, weights: Path = Path("{place}"), where: str = "
     score = network(weights)(ctx.frame.rgb.permute(2, 0, 1)[None])[0, 0]
     return ctx.seeds_at(ctx.pixels(score > 0), 1.0)
 
+
+def undeclared(ctx: SeedContext) -> Seeds:
+    torch.load("{place}", weights_only=True)
+    return ctx.seeds_at(ctx.pixels()[::9], 1.0)
 '''
 HELPER = "SCALE = {scale}\n\n\ndef radius():\n    return SCALE\n"
 
@@ -84,13 +90,32 @@ def test_weights_that_change_after_the_key_was_made_fail_the_run(learned, entry)
         entry(f"{file}:learned")
 
 
-@pytest.mark.parametrize("how", ["import the_helper\n", "from the_helper import radius\n"])
+def test_a_file_that_no_option_names_is_refused_in_the_lab(learned, entry):
+    file, weights = learned
+    result = run_entry(entry(f"{file}:undeclared"))
+    assert (result.status, str(weights) in result.reason) == ("failed", True)
+
+
+def test_the_values_of_a_global_network_are_part_of_the_fingerprint():
+    prints = []
+    for value in (0.0, 1.0):
+        net = torch.nn.Sequential(torch.nn.Conv2d(3, 1, 1))
+        torch.nn.init.constant_(net[0].bias, value)
+        torch.nn.init.zeros_(net[0].weight)
+        prints += [rule_fingerprint(lambda ctx, net=net: net(ctx)), rule_fingerprint(functools.partial(pow, value))]
+    assert len(set(prints)) == 4
+
+
+@pytest.mark.parametrize("how", ["import the_helper\n", "from the_helper import radius\n", ""])
 def test_a_helper_module_is_part_of_the_key(how, entry, tmp_path, monkeypatch):
     call = "radius()" if "from" in how else "the_helper.radius()"
+    inside = "" if how else "    import the_helper\n"
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "the_helper", raising=False)
     file, helper, keys = tmp_path / "rule.py", tmp_path / "the_helper.py", []
-    file.write_text(f"{how}\n\ndef helped(ctx):\n    return ctx.seeds_at(ctx.pixels()[::7], {call})  # {how!r}\n")
+    file.write_text(
+        f"{how}\n\ndef helped(ctx):\n{inside}    return ctx.seeds_at(ctx.pixels()[::7], {call})  # {how!r}\n"
+    )
     for scale in (1.5, 22.5):
         helper.write_text(HELPER.format(scale=scale))
         importlib.invalidate_caches()
