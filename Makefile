@@ -91,7 +91,7 @@ teacher: setup
 
 # The bank of questions, for lecturers: docs/teaching/quiz.md.
 quiz: setup
-	$(BIN)/python tools/quiz_files.py notebooks runs/quiz
+	$(BIN)/python tools/quiz.py runs/quiz
 
 # The decks of slides as HTML, in runs/slides; needs Node: docs/teaching/slides.md.
 slides: setup

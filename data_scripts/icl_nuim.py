@@ -56,12 +56,13 @@ PRIMESENSE = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5
 def to_plain_layout(folder: Path) -> None:
     """Write poses and camera in the plain layout. Line k of the poses is of the k-th number of the images' names."""
     poses, _ = read_trajectory_file(folder / "trajectory.log")
-    lacking = sorted(set(range(len(poses))) - set(poses))
+    numbers = [image_number(image) or 0 for image in images_in(folder / "rgb")]
+    frames = [number - numbers[0] for number in numbers]
+    lacking = sorted(set(frames) - set(poses))
     if lacking:
         raise SequenceError(f"{folder / 'trajectory.log'} lacks the pose of frame {lacking[0]}; expected all from 0 on")
-    write_pose_lines(folder / "poses.txt", torch.stack([poses[i] for i in range(len(poses))]))
-    first = image_number(images_in(folder / "rgb")[0])
-    values = PRIMESENSE | {"depth_scale": 1000.0, "first_image": first or 0}
+    write_pose_lines(folder / "poses.txt", torch.stack([poses[i] for i in frames]))
+    values = PRIMESENSE | {"depth_scale": 1000.0}
     (folder / "intrinsics.json").write_text(json.dumps(values) + "\n", encoding="utf-8")
 
 

@@ -37,7 +37,7 @@ def unpack_sequences(folder: Path) -> None:
             name = path.removeprefix(inner)
             return inner + name if re.fullmatch(r"frame-\d+\.(color\.(png|jpg)|depth\.png|pose\.txt)", name) else None
 
-        fetch.unpack(archive, folder, choose=choose, max_bytes=4_000_000_000)
+        fetch.unpack(archive, folder, choose=choose)
         archive.unlink()
     if not sequences(folder):
         raise ArchiveError(f"{folder.name}: the archive holds no seq-01.zip or similar; expected the scene's sequences")

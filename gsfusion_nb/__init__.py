@@ -2,7 +2,6 @@
 
 import importlib
 import os
-import sys
 
 # Read by OpenMP when torch loads it. By default its idle threads spin, and on a machine with anything else to do small
 # operations then take ten times as long; to wait asleep costs next to nothing.
@@ -38,26 +37,3 @@ def __getattr__(name: str):
 
 def __dir__():
     return sorted([*globals(), *_LAZY])
-
-
-def _register_summaries() -> None:
-    """Show frames, volumes, quadtrees, maps and runs as a picture and a table in IPython (``viz.summaries``)."""
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    if shell is not None:
-        html = shell.display_formatter.formatters["text/html"]
-        for module, name in _WITH_SUMMARY:
-            html.for_type_by_name(
-                module, name, lambda x: importlib.import_module("gsfusion_nb.viz.summaries").html_summary(x)
-            )
-
-
-_WITH_SUMMARY = (
-    ("gsfusion_nb.types", "Frame"),
-    ("gsfusion_nb.tsdf.volume", "TsdfVolume"),
-    ("gsfusion_nb.seeding.quadtree", "Cells"),
-    ("gsfusion_nb.gaussians.model", "GaussianModel"),
-    ("gsfusion_nb.runs.mapping_run", "MappingRun"),
-    ("gsfusion_nb.runs.map_sequence", "FinishedRun"),
-)
-
-_register_summaries()

@@ -4,9 +4,8 @@ An operation is declared once, by putting ``@op("folder")`` on its reference. Fa
 name in ``kernels/<folder>/<backend>.py``; they are found by their file name and imported on first use. Nothing else in
 the package imports ``gsfusion_nb.kernels``.
 
-The backend ``torch`` is vectorised PyTorch: it runs on any device and in float64, and exists only where it is several
-times as fast as the reference. ``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32;
-operations on Gaussians in float64 run on torch instead.
+``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32. Operations on Gaussians in
+float64, and on tensors on other devices, run on the reference instead.
 
 ``mine`` is the reference with the functions of a learner in it (``FUNCTIONS``). They replace whole operations, or the
 parts of an operation that are declared with ``@piece``. It exists only in a Python session that has imported
@@ -41,7 +40,7 @@ from .types import GaussianParams
 
 log = logging.getLogger(__name__)
 
-BACKENDS = ("reference", "torch", "numba", "triton", "cuda")
+BACKENDS = ("reference", "numba", "triton", "cuda")
 
 MINE = "mine"
 """The backend that runs the functions of a learner."""
@@ -53,8 +52,8 @@ _FOLDERS: dict[str, str] = {}
 _EMULATED_BY = {"triton": "TRITON_INTERPRET", "cuda": "GSFUSION_CUDA_EMULATOR"}
 """Backend for GPUs -> environment variable that lets it run on the processor, for tests."""
 
-_PREFERRED = {"cpu": ("numba", "torch"), "cuda": ("cuda", "triton", "torch")}
-"""Kind of device -> backends that take its tensors, the fastest first. On any other device: torch."""
+_PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
+"""Kind of device -> backends that take its tensors, the fastest first. On any other device the reference runs."""
 
 
 def from_environment() -> str:
@@ -67,25 +66,10 @@ _PIECES: dict[str, Callable] = {}
 _FROM_ENVIRONMENT = from_environment()
 _choice: ContextVar[str | None] = ContextVar("gsfusion_backend", default=None)
 _logged: set[tuple[str, str]] = set()
-_set_aside: set[str] = set()
 
 
 class BackendUnavailable(RuntimeError):
     """A backend was asked for by name and cannot run; the message says what is missing."""
-
-
-class KernelsUnusable(BackendUnavailable):
-    """A backend's kernels failed at their first use, before they changed anything.
-
-    Args:
-        backend: Its name. From then on "auto" uses other backends for all operations, because what one backend's
-            forward pass has made, another's gradient could not read.
-        reason: A sentence.
-    """
-
-    def __init__(self, backend: str, reason: str):
-        super().__init__(reason)
-        self.backend = backend
 
 
 class Record:
@@ -118,19 +102,9 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                     check(*args, **kwargs)
                 except ValueError as e:
                     raise ValueError(f"{name}: {e}") from None
-            if chosen() not in ("reference", "torch", MINE) and _is_double(args, kwargs):
-                with use_backend("torch"):
-                    return load(name, "torch")(*args, **kwargs)
-            while True:
-                implementation = _select(name, args, kwargs)
-                try:
-                    return implementation(*args, **kwargs)
-                except KernelsUnusable as e:
-                    if chosen() != "auto" or e.backend in _set_aside:
-                        raise
-                    _set_aside.add(e.backend)
-                    automatic.cache_clear()
-                    log.warning("backend %r is not used any more: %s", e.backend, e)
+            if chosen() not in ("reference", MINE) and _is_double(args, kwargs):
+                return plain(*args, **kwargs)
+            return _select(name, args, kwargs)(*args, **kwargs)
 
         @functools.wraps(reference)
         def plain(*args, **kwargs):
@@ -207,14 +181,14 @@ def _defines(package: ModuleType, backend: str, name: str) -> bool:
 
 @functools.cache
 def load(name: str, backend: str) -> Callable:
-    """The function that ``backend`` offers for operation ``name``; of "torch" the reference where that is fast enough.
+    """The function that ``backend`` offers for operation ``name``.
 
     Raises:
         BackendUnavailable: with the reason, if that backend has none or cannot be imported.
     """
     check_name("operation", name, _OPS)
     check_name("backend", backend, BACKENDS)
-    if backend == "reference" or (backend == "torch" and "torch" not in offered(name)):
+    if backend == "reference":
         return _OPS[name]
     if backend not in offered(name):
         raise BackendUnavailable(f"{name}: backend {backend!r} has no implementation of it")
@@ -233,11 +207,10 @@ def load(name: str, backend: str) -> Callable:
 
 @contextlib.contextmanager
 def use_backend(backend: str) -> Iterator[None]:
-    """Run operations on ``backend`` inside the block: "auto", "reference", "torch", "numba", "triton", "cuda", "mine".
+    """Run operations on ``backend`` inside the block: "auto", "reference", "numba", "triton", "cuda", "mine".
 
-    "torch" uses the reference for an operation that has no faster torch version. With "numba", "triton" or "cuda", an
-    operation that only other compiled backends offer raises ``BackendUnavailable``; one that none of them offers runs
-    on torch. "mine" runs the functions that a learner wrote, and the reference for all other operations.
+    With "numba", "triton" or "cuda", an operation that this backend does not offer runs on the reference. "mine" runs
+    the functions that a learner wrote, and the reference for all other operations.
 
     Raises:
         BackendUnavailable: "mine" where the course is not imported, for instance on the command line.
@@ -277,8 +250,8 @@ def report() -> list[tuple[str, str, str]]:
 @functools.cache
 def automatic(name: str, device: str) -> str:
     """The backend that "auto" takes for operation ``name`` and tensors on a kind of device ("cpu", "cuda", ...)."""
-    for backend in _PREFERRED.get(device, ("torch",)):
-        if backend in offered(name) and _obstacle(name, backend) is None:
+    for backend in _PREFERRED.get(device, ()):
+        if backend in offered(name) and _problem(name, backend) is None:
             return backend
     return "reference"
 
@@ -293,11 +266,6 @@ def _problem(name: str, backend: str) -> str | None:
     return None
 
 
-def _obstacle(name: str, backend: str) -> str | None:
-    """Why "auto" does not take ``backend``, or ``None``."""
-    return f"backend {backend!r} is not used any more" if backend in _set_aside else _problem(name, backend)
-
-
 def chosen() -> str:
     """The backend that was asked for: by ``use_backend``, else by the environment."""
     return _choice.get() or _FROM_ENVIRONMENT
@@ -309,9 +277,10 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     choice = chosen()
     if choice == MINE:
         _check_course()
-        return functools.partial(_run_mine, name)
+        return lambda *args, **kwargs: _run_counted(name, _OPS[name], args, kwargs)
     if choice != "auto":
-        return _named(name, choice)
+        check_name("backend", choice, ("auto", *BACKENDS))  # it may be from the environment
+        return load(name, choice if choice in offered(name) else "reference")
     if not offered(name):
         return _OPS[name]
     device = next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
@@ -321,10 +290,6 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     else:
         _log_once(logging.INFO, name, f"{name}: {backend}")
     return load(name, backend)
-
-
-def _run_mine(name: str, *args, **kwargs) -> Any:
-    return _run_counted(name, _OPS[name], args, kwargs)
 
 
 def _check_course() -> None:
@@ -342,20 +307,11 @@ def _is_double(args: tuple, kwargs: dict) -> bool:
     return isinstance(first, GaussianParams) and first.xyz_W.dtype != torch.float32
 
 
-def _named(name: str, backend: str) -> Callable:
-    """The implementation for a backend that was asked for by its name."""
-    check_name("backend", backend, ("auto", *BACKENDS))
-    has_kernels = any(b != "torch" for b in offered(name))
-    return load(name, backend if has_kernels or backend == "reference" else "torch")
-
-
 def _why_slow(name: str, device: str) -> str:
     """A sentence for the user of an operation whose faster versions cannot be used, with what to do about it."""
-    tried = [b for b in _PREFERRED.get(device, ("torch",)) if b in offered(name)]
-    reason = "; ".join(obstacle for b in tried if (obstacle := _obstacle(name, b)))
-    if reason:
-        advice = "" if _set_aside.intersection(tried) else ": `gsfusion-nb doctor` says what to install"
-        return f"{reason}; {name} runs on the slower reference{advice}"
+    tried = [b for b in _PREFERRED.get(device, ()) if b in offered(name)]
+    if problems := [problem for b in tried if (problem := _problem(name, b))]:
+        return f"{'; '.join(problems)}; {name} runs on the slower reference: `gsfusion-nb doctor` says what to install"
     known = " and ".join(sorted({kind for kind, names in _PREFERRED.items() if set(names) & set(offered(name))}))
     return f"{name} runs on the slower reference: its faster versions take {known} tensors, and these are on {device!r}"
 

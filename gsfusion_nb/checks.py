@@ -2,15 +2,25 @@
 
 import math
 import sys
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from .errors import shown
-
 SAVED_RIGIDITY_ERROR = 1e-2
 """Largest entry of R R^T - I in a pose of a checkpoint; tracking multiplies poses, so it may grow a little."""
+
+
+def shown(value: Any, at_most: int = 120) -> str:
+    """A value that somebody else wrote, as one line short enough for a sentence: all messages quote with this.
+
+    Text, and what holds more than ``at_most`` items, is cut before it is formatted.
+    """
+    if isinstance(value, str | bytes | list | tuple):
+        value = value[: at_most + 1]
+    text = repr(value)
+    return text if len(text) <= at_most else f"{text[: at_most - 3]}..."
 
 
 def check_shape(name: str, value: object, expected: tuple[int | str, ...]) -> None:
@@ -98,7 +108,8 @@ def check_number(name: str, value: object, low: float | int = -math.inf, high: f
     if not abs(value) <= sys.float_info.max:  # a whole number may be larger than any float
         raise ValueError(f"{name} must be finite, got {shown(value)}")
     if not low <= value <= high:
-        raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value}")
+        wanted = f">= {low:g}" if high == math.inf else f"between {low:g} and {high:g}"
+        raise ValueError(f"{name} must be {wanted}, got {value}")
 
 
 def check_name(kind: str, name: str, known) -> None:
@@ -131,9 +142,3 @@ def check_whole(name: str, value: object, low: int, high: int | None = None) -> 
     if value < low or (high is not None and value > high):
         wanted = f">= {low}" if high is None else f"between {low} and {high}"
         raise ValueError(f"{name} must be {wanted}, got {value}")
-
-
-def check_saved_pose(name: str, T: Tensor) -> None:
-    """Raise ``ValueError`` unless ``T`` is a rigid transform in float64."""
-    check_saved(name, T, (4, 4), torch.float64)
-    check_pose(name, T, SAVED_RIGIDITY_ERROR)

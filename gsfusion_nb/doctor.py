@@ -12,20 +12,18 @@ import importlib.metadata
 import logging
 import os
 import platform
-import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 
 from . import __version__, backends
-from .config import SeedingConfig, TsdfConfig, gps_slam, gsfusion, rtg_slam
-from .mapping import GPSSLAM, RTGSLAM, GSFusion
+from .config import SystemConfig, gps_slam, gsfusion, rtg_slam
+from .mapping import make_mapper
 from .types import Camera, Frame
-from .work import ProgressDisplay, run_in_processes, usable_cores
+from .work import ProgressDisplay
 
 PACKAGES = (
     "torch", "numpy", "numba", "opencv-python-headless", "kornia", "matplotlib", "jupyterlab",
@@ -56,13 +54,12 @@ def examine() -> list[EnvironmentCheck]:
     """Examine this Python environment and machine; nothing is changed."""
     return [
         _python(),
-        *(_package(name) for name in PACKAGES),
-        *(_optional(name, remedy) for name, remedy in OPTIONAL.items()),
+        *(_package(name, f"pip install {name}") for name in PACKAGES),
+        *(_package(name, remedy, needed=False) for name, remedy in OPTIONAL.items()),
         _opencv_twins(),
         *_torch(),
         *_backends(),
         _drawing(),
-        _disk(),
     ]
 
 
@@ -114,14 +111,9 @@ def _python() -> EnvironmentCheck:
     return EnvironmentCheck("python", sys.version_info >= (3, 11), text, "gsfusion_nb needs Python 3.11 or newer")
 
 
-def _package(name: str) -> EnvironmentCheck:
+def _package(name: str, remedy: str, *, needed: bool = True) -> EnvironmentCheck:
     version = _version(name)
-    return EnvironmentCheck(name, version is not None, version or "not installed", f"pip install {name}")
-
-
-def _optional(name: str, remedy: str) -> EnvironmentCheck:
-    version = _version(name)
-    return EnvironmentCheck(name, version is not None, version or "not installed", remedy, needed=False)
+    return EnvironmentCheck(name, version is not None, version or "not installed", remedy, needed)
 
 
 def _opencv_twins() -> EnvironmentCheck:
@@ -160,14 +152,7 @@ def _drawing() -> EnvironmentCheck:
     return EnvironmentCheck("VTK drawing", ok, why, remedy, needed=False)
 
 
-def _disk() -> EnvironmentCheck:
-    free = shutil.disk_usage(Path.cwd()).free / 1e9
-    return EnvironmentCheck("disk", free > 2, f"{free:.0f} GB free here", "a run with its checkpoint takes up to 1 GB")
-
-
 _WIDTH, _HEIGHT = 64, 48
-MOST_PROCESSES = 8
-"""More would hardly be faster: the slowest case takes an eighth of the whole."""
 
 
 @dataclass(frozen=True)
@@ -192,111 +177,53 @@ class WarmUpProgress:
     seconds: float
 
 
-def warm_up(device: str = "cpu", *, processes: int = 0) -> Iterator[WarmUpProgress]:
-    """Run the cases of all operations that have compiled kernels on ``device``, reporting before each.
+def warm_up(device: str = "cpu") -> Iterator[WarmUpProgress]:
+    """Run the cases of all operations that have compiled kernels on ``device``, reporting before each and at the end.
 
     A generator, so that the caller draws the progress. Uses what ``auto`` would choose, and leaves out what is not
-    installed. On the processor, as soon as something has to be compiled, the rest is shared out to several processes;
-    whatever they did not compile is compiled here in the end.
-
-    Args:
-        device: Where the tensors of the cases are.
-        processes: How many processes compile; 0: as many as there are cores, ``MOST_PROCESSES`` at most.
+    installed.
     """
-    todo = _todo(device)
-    start, done = time.perf_counter(), 0
-    processes = processes or min(usable_cores(), MOST_PROCESSES)
-    with _as_a_worker() as compiled:
-        while done < len(todo):
-            yield _progress(todo[done].name, done, len(todo), compiled, start)
-            todo[done].run()
-            done += 1
-            if compiled and device == "cpu" and processes > 1 and len(todo) - done > 1:
-                break
-        rest = todo[done:]
-        needs = [frozenset(e.operations) for e in rest]
-        for i, names in run_in_processes(_compile, [(device, e.name) for e in rest], needs, processes):
-            compiled += names or ()
-            done += 1
-            yield _progress(f"after {rest[i].name}", done - 1, len(todo), compiled, start)
-        for case in rest:  # from the cache
-            case.run()
-        yield _progress("", len(todo), len(todo), compiled, start)
+    todo, start = _todo(device), time.perf_counter()
+    with backends.use_backend("auto"), _quietly(), _one_thread(), _watching() as compiled:
+        for done, name in enumerate([*(case.name for case in todo), ""]):
+            seconds = time.perf_counter() - start
+            yield WarmUpProgress(name=name, done=done, total=len(todo), compiled=tuple(compiled), seconds=seconds)
+            if name:
+                todo[done].run()
 
 
 def _todo(device: str) -> list[WarmUpCase]:
-    return [e for e in warm_up_cases(device) if any(_is_compiled(operation, device) for operation in e.operations)]
-
-
-@functools.cache
-def _by_name(device: str) -> dict[str, WarmUpCase]:
-    return {case.name: case for case in _todo(device)}
-
-
-def _compile(device: str, name: str) -> list[str]:
-    """Run one case in its own process; returns what was compiled."""
-    with _as_a_worker() as compiled:
-        _by_name(device)[name].run()
-        return list(compiled)
-
-
-@contextlib.contextmanager
-def _as_a_worker() -> Iterator[list[str]]:
-    """The fastest backends, no notices, one thread; names of what is compiled meanwhile."""
-    with backends.use_backend("auto"), _quietly(), _one_thread(), _watching() as compiled:
-        yield compiled
+    """The cases of which ``auto`` takes compiled kernels."""
+    return [case for case in warm_up_cases(device) if any(_is_compiled(name, device) for name in case.operations)]
 
 
 def warm_up_cases(device: str = "cpu") -> Iterator[WarmUpCase]:
     """One for each case of an operation's folder, and the mappers of the systems at the end."""
     for case in backends.cases():
         if torch.float32 in case.dtypes:
-            run = _once(case.run, torch.device(device), torch.float32)
+            run = functools.partial(case.run, torch.device(device), torch.float32)
             yield WarmUpCase(f"{' and '.join(case.operations)}: {case.name}", case.operations, run)
-    frame, grey = (_frame(device, whole_numbers=n) for n in (True, False))
-    yield WarmUpCase("whole mapper: GSFusion", backends.operations(), _once(_map, frame, grey, device))
-    yield WarmUpCase("whole mapper: RTG-SLAM", backends.operations(), _once(_slam, frame, grey, device))
-    yield WarmUpCase("whole mapper: GPS-SLAM", backends.operations(), _once(_over_tsdf, frame, grey, device))
-
-
-def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:
-    return lambda: function(*args, **kwargs)
-
-
-def _map(frame: Frame, grey: Frame, device: str) -> None:
-    config = gsfusion(
-        "replica",
-        tsdf=vars(TsdfConfig(voxel_size_m=0.05, truncation_voxels=2.0)),
-        seeding=vars(SeedingConfig(quadtree_threshold=1e-3)),
-        keyframe_min_seeds=1,
+    frames = [_frame(device, whole_numbers=n) for n in (True, False)]
+    tsdf = {"voxel_size_m": 0.05, "truncation_voxels": 2.0}
+    configs = (
+        gsfusion("replica", tsdf=tsdf, seeding={"quadtree_threshold": 1e-3}, keyframe_min_seeds=1),
+        rtg_slam("replica", tracking__poses="tracked", window__iterations=2, window__every_frames=3),
+        gps_slam("replica", tsdf__voxel_size_m=0.05, schedule__every_frames=2),
     )
-    mapper = GSFusion(config, device=device)
-    for picture in (frame, grey):
-        mapper.step(picture)
+    for config in configs:
+        run = functools.partial(_map, config, frames, device)
+        yield WarmUpCase(f"whole mapper: {type(config).__name__}", backends.operations(), run)
+
+
+def _map(config: SystemConfig, frames: list[Frame], device: str) -> None:
+    mapper = make_mapper(config, device=device)
+    for index in range(3):
+        mapper.step(dataclasses.replace(frames[index % 2], index=index, timestamp_s=float(index)))
     for _ in mapper.global_optimise(1):
         pass
-    mapper.render(frame.camera, frame.T_WC)
-    mapper.mesh()
-
-
-def _slam(frame: Frame, grey: Frame, device: str) -> None:
-    config = rtg_slam("replica", tracking__poses="tracked", window__iterations=2, final__passes=1)
-    mapper = RTGSLAM(config, device=device)
-    for index in range(config.window.every_frames):
-        mapper.step(dataclasses.replace((frame, grey)[index % 2], index=index, timestamp_s=float(index)))
-    for _ in mapper.global_optimise():
-        pass
-    mapper.render(frame.camera, frame.T_WC)
-
-
-def _over_tsdf(frame: Frame, grey: Frame, device: str) -> None:
-    config = gps_slam("replica", tsdf__voxel_size_m=0.05, schedule__every_frames=2, final__passes=1)
-    mapper = GPSSLAM(config, device=device)
-    for index in range(3):
-        mapper.step(dataclasses.replace((frame, grey)[index % 2], index=index, timestamp_s=float(index)))
-    for _ in mapper.global_optimise():
-        pass
-    mapper.render(frame.camera, frame.T_WC)
+    mapper.render(frames[0].camera, frames[0].T_WC)
+    if not mapper.gaussians_are_discs:
+        mapper.mesh()
 
 
 def _frame(device: str, *, whole_numbers: bool) -> Frame:
@@ -312,12 +239,7 @@ def _frame(device: str, *, whole_numbers: bool) -> Frame:
 
 def _is_compiled(operation: str, device: str) -> bool:
     """Whether ``auto`` takes compiled kernels for it. Operations are declared where their references are imported."""
-    return backends.automatic(operation, device) not in ("reference", "torch")
-
-
-def _progress(name: str, done: int, total: int, compiled: list[str], start: float) -> WarmUpProgress:
-    seconds = time.perf_counter() - start
-    return WarmUpProgress(name=name, done=done, total=total, compiled=tuple(compiled), seconds=seconds)
+    return backends.automatic(operation, device) != "reference"
 
 
 @contextlib.contextmanager

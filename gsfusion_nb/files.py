@@ -1,37 +1,122 @@
-"""Files and folders that appear under their name only when they are complete, the cache folder, and hashes of files.
+"""Files: written completely or not at all, hashed, and read within limits; errors of files; the cache folder.
 
 A complete file is written under a temporary name in the same folder, flushed to disk and renamed, which every file
 system does in one step. So a reader finds the old content or the new one, also after a crash or a power failure. A
-killed program may leave a temporary file, which is never read (``remove_partial``)."""
+killed program may leave a temporary file, which is never read (``remove_partial``).
+
+A file of other people and programs may be damaged, of another kind, or made to harm. So nothing here opens a pipe or a
+device, which would wait or never end; nothing takes more memory than the caller allows, also when the content is
+packed; and whatever a parser of another project raises becomes a ``SequenceError`` that names the file. All other
+modules read through this one.
+"""
 
 import contextlib
+import datetime
 import errno
 import hashlib
 import json
+import linecache
+import math
 import os
 import re
 import secrets
 import shutil
+import stat
 import sys
+import tempfile
 import time
+import traceback
+import zipfile
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
+from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+
+MAX_SENTENCE = 1000
+"""Characters of a message; a path has at most a few hundred."""
+
+
+def as_sentence(text: str) -> str:
+    """A message as one line; of a very long one, which holds a long name of somebody else's, beginning and end."""
+    text = " ".join(text.splitlines())
+    half = MAX_SENTENCE // 2 - 5
+    return text if len(text) <= MAX_SENTENCE else f"{text[:half]} [...] {text[-half:]}"
+
+
+class SequenceError(ValueError):
+    """A file or folder that was given, or what was asked of it, makes no sense; one sentence that names the file."""
+
+    def __str__(self) -> str:
+        return as_sentence(super().__str__())
+
+
+class SequenceNotFoundError(SequenceError, FileNotFoundError):
+    """A folder or file that the sequence needs is not there."""
+
+
+class BadFrameError(SequenceError):
+    """One frame cannot be used (damaged image, no depth, invalid pose, tracking lost); the next frame may be fine."""
+
+
+def is_foreseen(error: BaseException) -> bool:
+    """The text of ``error`` is a sentence for people: an error of this package's own, what a ``raise`` of this package
+    wrote, or an error about a file.
+
+    A ``ValueError`` of a text that is no number, somewhere deep inside, is none.
+    """
+    package = __name__.partition(".")[0]
+    if isinstance(error, OSError) or type(error).__module__.startswith(package):
+        return True
+    last = error.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    if last is None or not isinstance(error, (ValueError, TypeError, KeyError, MemoryError)):
+        return False
+    ours = str(last.tb_frame.f_globals.get("__name__", "")).startswith(package)
+    line = linecache.getline(last.tb_frame.f_code.co_filename, last.tb_lineno).strip()
+    return ours and (not line or line.startswith("raise"))
+
+
+def unforeseen(error: BaseException, command: str, arguments: list[str]) -> str:
+    """One sentence on ``error`` that names the log with the traceback, in the system's folder for temporary files.
+
+    Args:
+        error: What was raised.
+        command: The command as it was typed, without its arguments, such as ``gsfusion-nb map``.
+        arguments: The arguments.
+    """
+    from .work import memory_is_full
+
+    said = f" ({str(error).strip().splitlines()[0][:160]})" if str(error).strip() else ""
+    if memory_is_full(error):
+        return f"the memory is full{said}; use smaller or fewer images, or close other programs"
+    reason = f"ended by an unexpected error, {type(error).__name__}{said}"
+    name = f"{command.replace(' ', '-')}-{datetime.datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}.log"
+    log = Path(tempfile.gettempdir(), name)
+    text = "".join([f"{command} {' '.join(arguments)}\n\n", *traceback.format_exception(error)])
+    try:
+        log.write_text(text, encoding="utf-8", errors="backslashreplace")
+    except OSError as e:
+        return f"{reason}; the traceback could not be written to {log} ({e.strerror})"
+    return f"{reason}; the traceback is in {log}"
+
 
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 """No space, a file larger than allowed, a user's quota."""
 
 
 class DiskFullError(OSError):
-    """There is no room for a file; the message names it, what it needs and what is free."""
+    """There is no room for a file; the message names it and what is free."""
 
     def __str__(self) -> str:
         return str(self.args[1])
 
 
 @contextmanager
-def atomic_file(path: str | Path, *, size_bytes: int = 0) -> Iterator[Path]:
+def atomic_file(path: str | Path) -> Iterator[Path]:
     """A temporary path to write to, which takes the place of ``path`` when the block ends without an exception.
 
     The temporary file is in the same folder (created if needed) and has the same suffix. After an exception, Ctrl-C
@@ -40,17 +125,12 @@ def atomic_file(path: str | Path, *, size_bytes: int = 0) -> Iterator[Path]:
         with atomic_file("run/map.npz") as temporary:
             np.savez(temporary, xyz=xyz)
 
-    Args:
-        path: Where the file will be.
-        size_bytes: How large it will be, where that is known: the space is checked first.
-
     Raises:
         FileNotFoundError: the block wrote nothing to the temporary path.
         DiskFullError: there is no room for the file; the previous one, if any, is unchanged.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    check_space(path, size_bytes)
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield temporary
@@ -62,7 +142,10 @@ def atomic_file(path: str | Path, *, size_bytes: int = 0) -> Iterator[Path]:
     except OSError as e:
         if not _is_full(e):
             raise
-        raise DiskFullError(e.errno or errno.ENOSPC, _no_room(path, max(size_bytes, _size(temporary)), e)) from e
+        left = (
+            f"{path} cannot be written: the disk is full, {shutil.disk_usage(path.parent).free / 1e6:.1f} MB are free"
+        )
+        raise DiskFullError(e.errno or errno.ENOSPC, left) from e
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -73,20 +156,6 @@ def remove_partial(folder: Path) -> None:
     for path in folder.glob(".*.partial*"):
         if re.fullmatch(r"\..+\.[0-9a-f]{8}\.partial(\.\w+)?", path.name):
             path.unlink(missing_ok=True)
-
-
-def check_space(path: Path, size_bytes: int) -> None:
-    """Raise ``DiskFullError`` if a file of ``size_bytes`` does not fit beside ``path``."""
-    if size_bytes and free_space(path.parent) < size_bytes:
-        raise DiskFullError(errno.ENOSPC, _no_room(path, size_bytes, None))
-
-
-def free_space(folder: Path) -> int:
-    """Bytes that can still be written to the disk of ``folder``; a very large number where the system does not say."""
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return sys.maxsize
 
 
 def write_file(path: str | Path, content: bytes | str) -> None:
@@ -140,9 +209,10 @@ def move_into_place(temporary: Path, path: Path) -> None:
 
 
 def try_lock(handle: int) -> bool:
-    """Lock an open file for this process, unless another one holds it; whether it is locked now.
+    """Lock an open file for this process; whether no other one holds it.
 
-    The operating system frees the lock when the file is closed or its holder ends, however it ends.
+    The operating system frees the lock when the file is closed or its holder ends, however it ends. A file system that
+    has no locks keeps nobody out.
     """
     try:
         if sys.platform == "win32":
@@ -153,8 +223,8 @@ def try_lock(handle: int) -> bool:
             import fcntl
 
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
+    except OSError as e:
+        return e.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
     return True
 
 
@@ -176,19 +246,6 @@ def _is_full(error: OSError) -> bool:
     return error.errno in _FULL or (
         error.errno is None and re.search(r"requested and \d+ written", str(error)) is not None
     )
-
-
-def _no_room(path: Path, size_bytes: int, error: OSError | None) -> str:
-    why = (
-        "a file may not be that large here" if error is not None and error.errno == errno.EFBIG else "the disk is full"
-    )
-    free = free_space(path.parent)
-    has = "" if free == sys.maxsize else f", {free / 1e6:.1f} MB are free"
-    return f"{path} cannot be written: {why}; it needs at least {size_bytes / 1e6:.1f} MB{has}"
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
 
 
 def _flush(file: Path) -> None:
@@ -293,3 +350,214 @@ def _hash(path: str) -> str:
             return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
     except OSError:
         return ""
+
+
+TEXT_BYTES = 256_000_000
+"""Of a text file: the poses of a million frames."""
+IMAGE_BYTES = 256_000_000
+"""Of an encoded image."""
+_noted: ContextVar[list[Path] | None] = ContextVar("noted", default=None)
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a file; False for a name, written by somebody else, that no file can have."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
+@contextmanager
+def noting_files() -> Iterator[list[Path]]:
+    """A block in which every file that is opened by this module is added to the list that it gives."""
+    noted, outer = [], _noted.get()
+    token = _noted.set(noted)
+    try:
+        yield noted
+    finally:
+        _noted.reset(token)
+        if outer is not None:
+            outer += noted
+
+
+def open_regular(path: str | Path, what: str) -> BufferedReader:
+    """Open a plain file for reading bytes. Pipes, sockets, devices and folders are refused, before anything waits.
+
+    Raises:
+        SequenceNotFoundError: no such file. SequenceError: no plain file, or it may not be read.
+    """
+    try:
+        # A pipe that nobody writes to blocks on opening, unless it is opened without waiting.
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except (FileNotFoundError, NotADirectoryError):
+        raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
+    except (OSError, ValueError) as e:
+        reason = getattr(e, "strerror", None) or e
+        if os.path.isdir(path):
+            reason = "it is a folder"
+        raise SequenceError(f"{path} cannot be read ({reason}); expected {what}") from None
+    mode = os.fstat(handle).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(handle)
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or device"
+        raise SequenceError(f"{path} is {kind}, not a plain file; expected {what}")
+    noted = _noted.get()
+    if noted is not None:
+        noted.append(Path(path))
+    return os.fdopen(handle, "rb")
+
+
+def read_bytes(path: str | Path, what: str, *, at_most: int = TEXT_BYTES) -> bytes:
+    """Content of a plain file (``open_regular``) of at most ``at_most`` bytes."""
+    with open_regular(path, what) as file:
+        try:
+            data = file.read(at_most + 1)
+        except OSError as e:
+            raise SequenceError(f"{path} cannot be read ({e.strerror}); expected {what}") from None
+    if len(data) > at_most:
+        raise SequenceError(f"{path} is larger than {at_most / 1e6:g} MB; expected {what}")
+    return data
+
+
+def read_text(path: str | Path, what: str, *, at_most: int = TEXT_BYTES) -> str:
+    """Text of a plain file in UTF-8, with or without a byte order mark."""
+    try:
+        return read_bytes(path, what, at_most=at_most).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise SequenceError(f"{path} is not a text file; expected {what}") from None
+
+
+def read_exactly(file: BinaryIO, n: int, path: str | Path) -> bytes:
+    """The next ``n`` bytes of an open file.
+
+    Raises:
+        SequenceError: it has fewer; nothing is read then, so a length that is wrong costs no memory.
+    """
+    left = os.fstat(file.fileno()).st_size - file.tell()
+    if not 0 <= n <= left:
+        raise SequenceError(f"{path} is truncated: it ends {n - left} bytes too early; copy it again")
+    return file.read(n)
+
+
+def inflate(data: bytes, source: str | Path, *, at_most: int) -> bytes:
+    """Unpacked content of a zlib stream. Raises ``BadFrameError`` when it is damaged or larger than ``at_most``."""
+    unpacker = zlib.decompressobj()
+    try:
+        content = unpacker.decompress(data, at_most + 1)
+    except zlib.error as e:
+        raise BadFrameError(f"{source} cannot be unpacked ({e})") from None
+    if len(content) > at_most:
+        raise BadFrameError(f"{source} unpacks to more than the {at_most} bytes that were expected")
+    if not unpacker.eof:
+        raise BadFrameError(f"{source} cannot be unpacked (it is truncated)")
+    return content
+
+
+def open_archive(path: str | Path, what: str) -> zipfile.ZipFile:
+    """A zip archive for reading. Raises ``SequenceError`` for another file."""
+    open_regular(path, what).close()
+    with parsing(path, what):
+        return zipfile.ZipFile(path)
+
+
+def read_member(archive: zipfile.ZipFile, name: str, source: str | Path, *, at_most: int) -> bytes:
+    """Content of one member of an archive, of at most ``at_most`` bytes unpacked.
+
+    Raises:
+        KeyError: no such member. BadFrameError: it is damaged, encrypted or larger.
+    """
+    info = archive.getinfo(name)
+    if info.file_size > at_most:
+        raise BadFrameError(f"{source}: {name} unpacks to {info.file_size} bytes; expected at most {at_most}")
+    try:
+        with archive.open(info) as member:
+            return member.read(at_most)
+    except Exception as e:
+        raise BadFrameError(f"{source}: {name} is damaged ({reason_of(e)})") from None
+
+
+@contextmanager
+def parsing(source: str | Path, what: str, error: type[SequenceError] = SequenceError) -> Iterator[None]:
+    """Whatever a parser of another project raises in the block becomes one sentence that names ``source``.
+
+    Such parsers were written for files in order: from a damaged one follows any exception, such as ``struct.error`` or
+    ``AssertionError``. Errors that are sentences already pass as they are.
+    """
+    try:
+        yield
+    except SequenceError:
+        raise
+    except MemoryError:
+        raise error(f"{source} asks for more memory than there is; it is damaged; expected {what}") from None
+    except Exception as e:
+        raise error(f"{source} is not readable as {what} ({reason_of(e)}); it may be truncated or damaged") from e
+
+
+def reason_of(error: Exception) -> str:
+    """The kind and the first sentence of an error, short enough to be a part of another sentence."""
+    lines = str(error).strip().splitlines()
+    text = lines[0].split(". ")[0][:160] if lines else ""
+    return text if isinstance(error, OSError | ValueError) and text else f"{type(error).__name__} {text}".strip()
+
+
+MAX_DIGITS = 200
+"""Of a number: some programs write 60, and reading takes the square of their count."""
+
+
+class _Fault(Exception):
+    """Something in a JSON text is ambiguous or no number."""
+
+
+def read_json(path: str | Path, what: str, *, at_most: int = TEXT_BYTES) -> Any:
+    """Content of a JSON file.
+
+    Raises:
+        SequenceNotFoundError: no such file. SequenceError: no JSON, or refused by ``parse_json``; names the file.
+    """
+    return parse_json(read_text(path, what, at_most=at_most), str(path), what)
+
+
+def read_object(
+    path: str | Path, what: str, *, at_most: int = TEXT_BYTES, objects: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """``read_json`` of a file that must hold an object, and in it an object at each of the keys ``objects``."""
+    values = read_json(path, what, at_most=at_most)
+    if not isinstance(values, dict):
+        raise SequenceError(f"{path} must hold a JSON object ({what}), got a {type(values).__name__}")
+    for key in objects:
+        if not isinstance(values.get(key), dict):
+            got = f"a {type(values[key]).__name__}" if key in values else "none"
+            raise SequenceError(f"{path} must hold an object at the key {key} ({what}), got {got}")
+    return values
+
+
+def parse_json(text: str, source: str, what: str) -> Any:
+    """``read_json`` of text in memory; ``source`` is its name for messages.
+
+    What is ambiguous, or no number for a computer, is refused. Python's parser takes the last of two equal keys, reads
+    NaN and Infinity, which JSON does not have, and makes infinities of numbers that are too large.
+    """
+    try:
+        return json.loads(
+            text, object_pairs_hook=_object, parse_constant=_number, parse_int=_number, parse_float=_number
+        )
+    except (json.JSONDecodeError, _Fault, RecursionError) as e:
+        raise SequenceError(f"{source} is not valid JSON ({e}); expected {what}") from None
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) != len(pairs):
+        keys = [key for key, _ in pairs]
+        raise _Fault(f"the key {next(k for k in keys if keys.count(k) > 1)[:40]!r} appears twice in an object")
+    return values
+
+
+def _number(text: str) -> int | float:
+    if len(text) > MAX_DIGITS:
+        raise _Fault(f"a number of {len(text)} digits")
+    if text.lstrip("-").isdigit():
+        return int(text)
+    if not math.isfinite(float(text)):
+        raise _Fault(f"{text} is not a finite number")
+    return float(text)

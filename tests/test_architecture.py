@@ -253,7 +253,7 @@ WHOLE = {
         "gsfusion_nb/optim/__init__.py": ("+", "from .toy_operation import toy_operation as toy_operation\n"),
         "kernels/toy_operation/cases.py": CASES,
     },
-    "a backend of an operation": {"kernels/toy_operation/torch.py": BACKEND},
+    "a backend of an operation": {"kernels/toy_operation/numba.py": BACKEND},
     "a system": {
         "gsfusion_nb/config/toy_system.py": SYSTEM_CONFIG,
         "gsfusion_nb/mapping/toy_system.py": SYSTEM,
@@ -302,13 +302,13 @@ walls = open_sequence(data).mapping
 assert len(walls) == 3 and float(walls[1].depth_m.mean()) == 1.5
 
 assert toy_operation.reference(torch.ones(2)).tolist() == [2, 2]
-assert backends.offered("toy_operation") == ("torch",)
+assert backends.offered("toy_operation") == ("numba",)
 mine = [case for case in backends.cases() if case.operations == ("toy_operation",)]
 by_backend = []
-for name in ("reference", "torch"):
+for name in ("reference", "numba"):
     with backends.use_backend(name):
         by_backend.append(mine[0].run(torch.device("cpu"), torch.float64)["y"].tolist())
-assert by_backend == [[0, 2, 4]] * 2 and backends.load("toy_operation", "torch").__globals__["CALLS"]
+assert by_backend == [[0, 2, 4]] * 2 and backends.load("toy_operation", "numba").__globals__["CALLS"]
 
 config = toy_system(seeding__rule="toy_rule", data__hold_out_every=0)
 run = run_mapping(data, config, folder="toy_run")
@@ -461,7 +461,7 @@ def test_each_gradient_is_where_the_index_says(file, function, pieces):
 
 
 def test_the_examples_work(copy):
-    environment = os.environ | {"PYTHONPATH": str(copy), "GSFUSION_BACKEND": "torch"}
+    environment = os.environ | {"PYTHONPATH": str(copy), "GSFUSION_BACKEND": "numba"}
     done = subprocess.run(
         [sys.executable, "-c", USE], cwd=copy, env=environment, capture_output=True, text=True, timeout=300
     )

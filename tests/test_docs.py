@@ -19,16 +19,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "doc
                 *(ROOT / "docs/measured").glob("*.md")])  # fmt: skip
 COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "export", "lab", "sweep", "study", "bench", "doctor",
             "course", "grade")  # fmt: skip
-OTHER_PROGRAMS = (
-    "--pdf",
-    "--torch-backend",
-    "--pdb",
-    "--allow-root",
-    "--no-install-recommends",
-    "--no-compile",
-    "--kills",
-    "--variants",
-)
+OTHER_PROGRAMS = ("--pdf", "--pdb")
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`\n]+)`")
@@ -64,24 +55,13 @@ def commands(page: Path) -> list[str]:
 def help_of(*arguments: str) -> str:
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
-        cli.main(
-            [
-                *arguments,
-                "--help-all" if arguments[:1] in (("map",), ("live",)) and arguments != ("live",) else "--help",
-            ]
-        )
+        everything = arguments[:1] in (("map",), ("live",)) and arguments != ("live",)
+        cli.main([*arguments, "--help-all" if everything else "--help"])
     return out.getvalue()
 
 
 class Parsed(BaseException):
     """The command line was understood; nothing is to run."""
-
-
-@pytest.fixture(scope="module")
-def understood() -> set[str]:
-    """Commands of the pages before: a quarter of all stand on more than one page, and each takes a twentieth of a
-    second."""
-    return set()
 
 
 @pytest.fixture
@@ -107,10 +87,6 @@ def known_options() -> set[str]:
     return set(re.findall(r"--[\w][\w.\-]*", "".join(help_of(*call) for call in calls) + scripts)) | set(OTHER_PROGRAMS)
 
 
-def test_the_readme_is_short():
-    assert len(text(ROOT / "README.md").splitlines()) < 150
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_and_images_lead_somewhere(page):
     for target in LINK.findall(BLOCK.sub("", text(page))):
@@ -122,26 +98,11 @@ def test_links_and_images_lead_somewhere(page):
         assert not anchor or anchor in anchors(path), f"{page.name} links to {target}, but has no such heading"
 
 
-def test_every_page_is_in_the_index():
-    index = text(ROOT / "docs/index.md")
-    teaching = text(ROOT / "docs/teaching/index.md")
-    measured = text(ROOT / "docs/measured/index.md")
-    assert "(teaching/index.md)" in index
-    assert "(measured/index.md)" in index
+def test_every_page_is_in_the_index_of_its_folder():
     for page in PAGES:
-        if page.parent == ROOT / "docs/measured":
-            assert page.name == "index.md" or f"({page.name})" in measured, (
-                f"{page.name} is not in docs/measured/index.md"
-            )
-        elif page.parent.name == "teaching":
-            assert page.name == "index.md" or f"({page.name})" in teaching, (
-                f"{page.name} is not in docs/teaching/index.md"
-            )
-        else:
-            link = f"../{page.name}" if page.parent == ROOT else page.name
-            assert page.name in ("index.md", "README.md") or f"({link})" in index, (
-                f"{page.name} is not in docs/index.md"
-            )
+        index = ROOT / "docs/index.md" if page.parent == ROOT else page.parent / "index.md"
+        link = f"(../{page.name})" if page.parent == ROOT else f"({page.name})"
+        assert page.name in ("index.md", "README.md") or link in text(index), f"{page.name} is not in {index}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
@@ -161,10 +122,10 @@ def test_make_targets_that_are_named_exist(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_commands_are_understood(page, dry, understood, tmp_path, monkeypatch):
+def test_commands_are_understood(page, dry, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "FILE").write_text(json.dumps({"config": to_dict(gsfusion())} | to_dict(gsfusion())))
-    for command in set(commands(page)) - understood:
+    for command in set(commands(page)):
         arguments = shlex.split(command)[1:]
         try:
             status = cli.main(arguments)
@@ -173,7 +134,6 @@ def test_commands_are_understood(page, dry, understood, tmp_path, monkeypatch):
         except SystemExit as e:
             status = e.code
         assert status == 0, f"{page.name}: {command}"
-        understood.add(command)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
@@ -199,17 +159,3 @@ MATHEMATICS = blocks(ROOT / "docs/mathematics.md", "python")
 def test_what_the_mathematics_says_is_so(block):
     assert "assert" in block
     exec(compile(block, "mathematics.md", "exec"), {})
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_every_picture_says_what_it_shows(page):
-    for alt in re.findall(r"!\[([^\]]*)\]\(", text(page)):
-        assert len(alt.split()) >= 4, f"{page.name}: the alternative text {alt!r} says too little"
-
-
-def test_the_pages_of_abbreviations_and_letters_are_complete():
-    page = text(ROOT / "docs/notation.md")
-    rows = [line for line in page.splitlines() if line.startswith("| $")]
-    assert all(len(row.replace("\\|", "").split("|")) == 6 for row in rows)
-    for short in ("TSDF", "PSNR", "SSIM", "ICP", "SLAM", "RGB-D", "SH", "VJP", "EWA", "ATE", "ORB", "FPS"):
-        assert re.search(rf"^\| [^|]*\b{re.escape(short)}\b[^|]*\|", page, re.MULTILINE), f"no row for {short}"

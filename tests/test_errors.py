@@ -1,6 +1,7 @@
 """Messages: one line, and never longer than a reader's patience."""
 
-from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError, shown
+from gsfusion_nb.checks import shown
+from gsfusion_nb.files import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.recordings.fetch import ArchiveError
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb import files
-from gsfusion_nb.files import atomic_file, atomic_folder, cache_folder, move_into_place, write_file
+from gsfusion_nb.files import atomic_file, atomic_folder, cache_folder, write_file
 
 
 def test_replaces_and_creates_folders(tmp_path):
@@ -37,23 +37,6 @@ def test_failure_leaves_the_old_file_and_nothing_else(tmp_path, error):
         write_half(target, error)
     assert target.read_text() == "old"
     assert list(tmp_path.iterdir()) == [target]
-
-
-def test_failure_without_an_old_file_leaves_nothing(tmp_path):
-    with pytest.raises(RuntimeError):
-        write_half(tmp_path / "a.txt", RuntimeError)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_writing_nothing_is_an_error(tmp_path):
-    with pytest.raises(FileNotFoundError, match="nothing was written"), atomic_file(tmp_path / "a.txt"):
-        pass
-
-
-def test_ordinary_permissions(tmp_path):
-    (tmp_path / "plain").write_text("x")
-    write_file(tmp_path / "atomic", "x")
-    assert (tmp_path / "atomic").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
 def test_text_is_utf8_and_bytes_are_bytes(tmp_path):
@@ -180,14 +163,6 @@ def test_a_killed_program_leaves_no_folder(tmp_path, moment):
     assert not target.exists()
     fill(target, Path(f"{target}.partial"))
     assert [p.name for p in target.iterdir()] == ["deep"]
-
-
-def test_an_empty_folder_is_replaced(tmp_path):
-    (tmp_path / "old").mkdir()
-    (tmp_path / "new").mkdir()
-    (tmp_path / "new" / "x").write_text("1")
-    move_into_place(tmp_path / "new", tmp_path / "old")
-    assert (tmp_path / "old" / "x").exists()
 
 
 def test_cache_folder(monkeypatch, tmp_path):

@@ -11,9 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.data.recorded.images import check_image_size, decode_rgb, image_size, png_is_cut
-from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError
-from gsfusion_nb.foreign import (
+from gsfusion_nb.data.recorded.images import decode_rgb, image_size
+from gsfusion_nb.files import (
+    BadFrameError,
+    SequenceError,
+    SequenceNotFoundError,
     inflate,
     open_archive,
     open_regular,
@@ -33,8 +35,7 @@ OF_MODULE = {
     **dict.fromkeys(("zlib.decompress", "bz2.decompress", "gzip.open", "gzip.decompress", "PlyData.read"), ""),
 }
 ALLOWED = {
-    "foreign.py": "the place",
-    "files.py": "what it has just written, and bytes that only go into a hash",
+    "files.py": "the place",
     "backends.py": "source files of this package",
     "course/source_lines.py": "source files of this package",
     "viz/display.py": "files of this package",
@@ -48,23 +49,19 @@ ALLOWED = {
     "compare/executors.py": "a picture it has just drawn",
     "data/recorded/images.py": "decodes after the header was looked at",
     "data/room/scene.py": "pictures of its own, from bytes of a limited size",
-    "recordings/convert/recording.py": "an array whose header was looked at, from bytes of a limited size",
-    "compare/run_all.py": "a picture it has just drawn",
-    "recordings/fetch.py": "downloads, a lock of its own, and unpacking into a new folder within a limit",
-    "recordings/convert/formats/ros_bag.py": "everything but the reading of bytes, which it bounds",
-    "course/progress.py": "a lock of its own",
-    "course/grading/sandbox.py": "the sandbox's answers, of limited size and without objects",
-    "course/grading/sandbox_program.py": "/proc/self/statm",
+    "recordings/convert/recording.py": "an array from bytes of a limited size",
+    "recordings/fetch.py": "downloads, and unpacking into a new folder within a limit",
+    "course/grading/sandbox.py": "tasks and verdicts of its own",
     "viz/steppers/recording.py": "source files of this package",
-    "export/sog_file.py": "a picture of limited size, whose header is looked at before its pixels",
-    "export/checkpoint_store.py": "JSON whose checksum is right",
+    "export/checkpoint_store.py": "tensors and plain values whose checksum is right",
     "runs/run_folder.py": "text of a checkpoint whose checksum is right, and /proc/sys/kernel/random/boot_id",
-    "export/ply.py": "after the header was compared with the size of the file",
+    "export/ply.py": "a reader of its own",
+    "export/tsdf_file.py": "arrays without objects",
 }
 
 
 def opened_by_hand(path: Path) -> list[str]:
-    """Calls that read a file, or unpack bytes, without the limits of ``foreign``."""
+    """Calls that read a file, or unpack bytes, without the limits of ``files``."""
     found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.Call):
@@ -72,12 +69,10 @@ def opened_by_hand(path: Path) -> list[str]:
         f = node.func
         name = f.attr if isinstance(f, ast.Attribute) else f.id if isinstance(f, ast.Name) else ""
         dotted = f"{f.value.id}.{f.attr}" if isinstance(f, ast.Attribute) and isinstance(f.value, ast.Name) else name
-        of_class = dotted in ("self.read_text", "foreign.read_text")
+        of_class = dotted in ("self.read_text", "files.read_text")
         text = isinstance(f, ast.Attribute) and name in BY_HAND and not of_class
         modes = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
-        opens = (
-            name == "open" and not dotted.startswith(("OpenEXR", "tarfile")) and not set("wax") & set("".join(modes))
-        )
+        opens = name == "open" and not dotted.startswith("tarfile") and not set("wax") & set("".join(modes))
         if text or dotted in OF_MODULE or opens:
             found.append(f"line {node.lineno}: {dotted}")
     return found
@@ -89,7 +84,7 @@ def test_no_file_of_others_is_opened_by_hand():
         name = path.relative_to(PACKAGE).as_posix()
         if name not in ALLOWED and (calls := opened_by_hand(path)):
             found[name] = calls
-    assert found == {}, "read through gsfusion_nb/foreign.py"
+    assert found == {}, "read through gsfusion_nb/files.py"
     assert [name for name in ALLOWED if not opened_by_hand(PACKAGE / name)] == [], "no longer needed"
 
 
@@ -156,15 +151,15 @@ def test_sentences_pass_and_memory_has_its_own():
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ('{"a": 1,\n "b": {"a": 2, "a": 3}}', r'the key "a" appears twice: line 2 column 16'),
-        ('{"a":\n  NaN}', r"NaN is not a JSON number: line 2 column 3"),
-        ('["NaN", -Infinity]', r"-Infinity is not a JSON number: line 1 column 9"),
-        ("[1e999]", r"1e999 is too large a number: line 1 column 2"),
-        (f"[{'9' * 400}]", r"a number of 400 digits: line 1 column 2"),
-        (f"[0.{'9' * 400}]", r"a number of 402 digits: line 1 column 2"),
-        ("[" * 100_000, r"brackets are nested more than 64 deep: line 1 column 65"),
-        ('{"a": [1, 2}', r"line 1 column 12"),
-        ('{"\\u0061": 1, "a": 2}', r"a key appears twice"),
+        ('{"a": 1,\n "b": {"a": 2, "a": 3}}', "the key 'a' appears twice"),
+        ('{"\\u0061": 1, "a": 2}', "the key 'a' appears twice"),
+        ('{"a":\n  NaN}', "NaN is not a finite number"),
+        ('["NaN", -Infinity]', "-Infinity is not a finite number"),
+        ("[1e999]", "1e999 is not a finite number"),
+        (f"[{'9' * 400}]", "a number of 400 digits"),
+        (f"[0.{'9' * 400}]", "a number of 402 digits"),
+        ("[" * 100_000, "recursion"),
+        ('{"a": [1, 2}', "line 1 column 12"),
     ],
 )
 def test_json_that_is_ambiguous_or_no_number(text, fault):
@@ -194,34 +189,6 @@ def test_the_size_of_an_image_is_known_from_its_header(suffix):
 
 def test_an_image_that_claims_a_billion_pixels_is_not_decoded():
     header = struct.pack(">IIBBBBB", 30000, 30000, 8, 2, 0, 0, 0)
-    data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header
+    data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header + b"IEND\xaeB`\x82"
     with pytest.raises(BadFrameError, match=r"a\.png cannot be decoded"):
         decode_rgb(data, "a.png")
-
-
-def test_a_chunk_of_a_png_cannot_claim_more_than_the_file_has():
-    """OpenCV 5 takes the memory that a chunk claims, up to 4 GB, before it reads it."""
-    import cv2
-
-    image = np.random.default_rng(0).integers(0, 255, (60, 80, 3), np.uint8)
-    whole = cv2.imencode(".png", image)[1].tobytes()
-    assert not png_is_cut(whole)
-    assert not png_is_cut(whole + b"more")
-    assert not png_is_cut(b"\xff\xd8 no PNG")
-    assert np.array_equal(decode_rgb(whole, "a.png"), image[..., ::-1])
-    at = whole.index(b"IDAT") - 4
-    claims = whole[:at] + (1_500_000_000).to_bytes(4, "big") + whole[at + 4 :]
-    assert png_is_cut(claims)
-    for data in (claims, whole[:-20]):
-        with pytest.raises(BadFrameError, match=r"a\.png cannot be decoded: it is truncated, damaged or not an image"):
-            decode_rgb(data, "a.png")
-
-
-def test_the_size_of_an_openexr_file_is_that_of_its_largest_part():
-    head = b"v/1\x01" + struct.pack("<I", 2)
-    sizes = ((30, 20), (7000, 6000))
-    parts = [b"dataWindow\0box2i\0" + struct.pack("<iiiii", 16, 5, 7, 4 + w, 6 + h) for w, h in sizes]
-    assert image_size(head) is None
-    assert image_size(head + parts[0]) == (30, 20)
-    with pytest.raises(BadFrameError, match=r"d\.exr claims 7000x6000"):
-        check_image_size(head + parts[0] + parts[1], "d.exr", "depth")

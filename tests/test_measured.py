@@ -47,7 +47,6 @@ def project(tmp_path):
     recipe = measured.read_recipes(tmp_path)["walls"]
     numbers = {"commands": recipe["commands"], **measured.made(recipe, VALUES), "date": "2026-01-01"}
     numbers |= {"commit": measured.git("rev-parse", "HEAD", root=tmp_path).strip(), "machine": {"cpu": "a computer"}}
-    numbers["state"] = measured.state(recipe["depends"], measured.tree("HEAD", tmp_path))
     (tmp_path / "docs/measured/walls.json").write_text(json.dumps(numbers))
     return tmp_path
 
@@ -61,36 +60,26 @@ def test_pages_are_filled_from_the_file(project):
     assert [p.name for p in measured.fill(project, write=True)] == ["README.md", "a.md"]
     page = (project / "docs/a.md").read_text()
     assert "| one | 20.2 | 1.00 |\n| both | 21.0 ± 1.4 | 2.00 ± 0.00 |\n<!-- end -->" in page
-    assert "gsfusion-nb map wall --seed 1\n```\n" in page
+    assert "```\ngsfusion-nb map wall\n```\n" in page  # of one seed
     assert "Best: <!-- text: walls best -->22.00 dB<!-- end -->." in (project / "README.md").read_text()
     assert measured.fill(project, write=False) == []
     (project / "docs/a.md").write_text(page.replace("20.2", "20.3"))  # by hand
     assert [p.name for p in measured.fill(project, write=False)] == ["a.md"]
 
 
-def test_a_table_is_old_when_what_it_depends_on_has_another_content(project, capsys):
+def test_a_table_is_old_when_what_it_depends_on_has_changed(project):
     def old():
         return measured.list_old(measured.read_recipes(project), project)
 
     assert old() == []
     (project / "other.py").write_text("1\n")
-    (project / "code.py").rename(project / "room")  # moved, not changed
     commit(project)
     assert old() == []
-    (project / "room").write_text("2\n")
+    (project / "code.py").write_text("2\n")
     commit(project)
-    assert old() == ["walls"]
-    out = capsys.readouterr().out
-    assert "2 commits since 2026-01-01" in out
-    assert 'make measured RENEW="walls"' in out
-    (project / "room").write_text("1\n")
-    commit(project)
-    assert old() == []
-    (project / "docs/measured/recipes.toml").write_text(RECIPE.replace("--seed 1", "--seed 2"))
     assert old() == ["walls"]
     (project / "docs/measured/walls.json").unlink()
     assert old() == ["walls"]
-    assert "never measured" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -101,25 +90,12 @@ def test_a_table_is_old_when_what_it_depends_on_has_another_content(project, cap
         ("{@; psnr_db:.1f}", "{c; psnr_db:.1f}", "'c'"),
         ("seed=1", "seed=5", "seed=5"),
         ('["one", "a"]', '["one", "a", "b", "c"]', "one"),
-        ("[walls]", "[walls", "recipes.toml"),
     ],
 )
 def test_a_wrong_recipe_is_named(project, old, new, names):
     (project / "docs/measured/recipes.toml").write_text(RECIPE.replace(old, new))
     with pytest.raises(measured.MeasuredError, match=re.escape(names)):
         measured.made(measured.read_recipes(project)["walls"], VALUES)
-
-
-def test_a_page_names_numbers_that_exist(project):
-    (project / "README.md").write_text("PSNR: <!-- text: walls worst -->?<!-- end -->")
-    with pytest.raises(measured.MeasuredError, match="worst"):
-        measured.fill(project, write=False)
-    (project / "README.md").write_text("PSNR:\n<!-- text: walls best -->?<!-- end -->")
-    with pytest.raises(measured.MeasuredError, match="walls best"):
-        measured.fill(project, write=False)
-    (project / "README.md").write_text("<!-- table: doors -->\n<!-- end -->")
-    with pytest.raises(measured.MeasuredError, match="doors"):
-        measured.fill(project, write=False)
 
 
 def test_records_of_nested_tables():
@@ -150,7 +126,7 @@ def test_a_difference_is_taken_scene_by_scene():
     assert measured.cell("{lab; mcmc; scene=b; less=none; psnr_db:.1f}", values) == "-1.0"
 
 
-def test_a_second_table_of_the_same_numbers(project, capsys):
+def test_a_second_table_of_the_same_numbers(project):
     recipes, second = (
         project / "docs/measured/recipes.toml",
         '[more]\nof = "walls"\nabout = "More"\ncolumns = ["", "dB"]\n',
@@ -161,12 +137,8 @@ def test_a_second_table_of_the_same_numbers(project, capsys):
     (project / "README.md").write_text("<!-- table: more -->\n<!-- end -->\n<!-- commands: more -->\n<!-- end -->\n")
     measured.fill(project, write=True)
     assert "| one | 20.2 |\n<!-- end -->" in (project / "README.md").read_text()
-    assert "gsfusion-nb map wall --seed 0" in (project / "README.md").read_text()
+    assert "gsfusion-nb map wall\n" in (project / "README.md").read_text()
     assert measured.list_old(measured.read_recipes(project), project) == []
-    assert "of 1 tables" in capsys.readouterr().out
-    recipes.write_text(RECIPE + second.replace('"walls"', '"doors"') + "rows = []\n")
-    with pytest.raises(measured.MeasuredError, match="doors"):
-        measured.read_recipes(project)
 
 
 def test_an_offset_is_read_from_what_the_command_prints():
@@ -195,5 +167,5 @@ def test_a_recipe_depends_on_files_that_exist(name):
 def test_a_file_of_numbers_has_a_recipe_and_whole_rows(name):
     assert name in RECIPES
     numbers = measured.read_numbers(name)
-    assert {"commit", "date", "machine", "state", "commands"} <= set(numbers)
+    assert {"commit", "date", "machine", "commands"} <= set(numbers)
     assert all(len(row) == len(numbers["columns"]) for row in numbers["rows"])

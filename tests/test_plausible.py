@@ -10,17 +10,17 @@ import torch
 from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.data.lens import CameraModel
 from gsfusion_nb.data.recorded.poses import checked_pose
-from gsfusion_nb.operands import check_depth_scale, check_plausible_camera, is_near
+from gsfusion_nb.geometry.operands import check_depth_scale, check_plausible_camera
 from gsfusion_nb.recordings.convert.recording import RecordedFrame, Recording, RgbdImages
 from gsfusion_nb.types import Camera
 
 VGA = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=320.0, cy=240.0)
 WRONG = [
-    ({"fx": 1e12}, "fx must be between 32 and 64000 pixels for 640 pixels, got 1e"),
-    ({"fx": 5.0, "fy": 5000.0}, "fx must be between 32 and 64000 pixels for 640 pixels, got 5"),
-    ({"fx": 100.0, "fy": 5000.0}, "fx and fy must not differ by more than a factor of 10, got 100 and 5000"),
-    ({"cx": 1e5}, "cx must be between -640 and 1280 pixels for 640 pixels, got 100000"),
-    ({"cy": -1000.0}, "cy must be between -480 and 960 pixels for 480 pixels, got -1000"),
+    ({"fx": 1e12}, "fx must be between 32 and 64000 for 640 x 480 pixels, got 1e"),
+    ({"fx": 5.0, "fy": 5000.0}, "fx must be between 32 and 64000 for 640 x 480 pixels, got 5"),
+    ({"fx": 100.0, "fy": 5000.0}, "fx / fy must be between 0.1 and 10 for 640 x 480 pixels, got 0.02"),
+    ({"cx": 1e5}, "cx must be between -640 and 1280 for 640 x 480 pixels, got 100000"),
+    ({"cy": -1000.0}, "cy must be between -480 and 960 for 640 x 480 pixels, got -1000"),
 ]
 LAYOUT_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 
@@ -65,18 +65,9 @@ def test_depth_scales_that_cannot_be(scale, sentence, tmp_path):
         open_sequence(tmp_path / "scan")
 
 
-def test_usual_cameras_and_scales_pass():
-    for camera in (VGA, VGA.resized(80, 480), Camera(width=4, height=3, fx=2.0, fy=2.0, cx=-1.0, cy=3.0)):
-        check_plausible_camera("here", camera)
-    for scale in (1.0, 100.0, 1000.0, 5000.0, 6553.5):
-        check_depth_scale("here", scale)
-
-
 @pytest.mark.parametrize("metres", [1e6, -1e30])
 def test_places_too_far_away(metres):
     T = torch.eye(4, dtype=torch.float64)
     T[2, 3] = metres
     with pytest.raises(SequenceError, match=r"poses.txt pose 4 must be within 10 km of the origin, got \(0, 0, "):
         checked_pose(T, "poses.txt pose 4")
-    rows = torch.tensor([[0.0, 0.0, 9e3], [0.0, 0.0, 1e30], [torch.nan, 0.0, 0.0]])
-    assert is_near(rows).tolist() == [True, False, False]

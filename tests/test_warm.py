@@ -56,25 +56,6 @@ def test_progress_names_every_step_and_ends_at_the_total(monkeypatch):
     assert again.compiled == ()
 
 
-_EMPTY_CACHE = """
-from gsfusion_nb import warm
-if __name__ == "__main__":
-    print(*(len(list(warm.warm_up(processes=n))[-1].compiled) for n in (2, 1)))
-"""
-
-
-@pytest.mark.slow
-def test_two_processes_leave_nothing_to_compile(tmp_path):
-    pytest.importorskip("numba")
-    script = tmp_path / "warm_twice.py"
-    script.write_text(_EMPTY_CACHE)
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "GSFUSION_BACKEND": "auto"}
-    done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=True)
-    first, second = map(int, done.stdout.split())
-    assert first > 50
-    assert second == 0
-
-
 @pytest.mark.ci
 def test_doctor_says_what_it_did(capsys):
     assert doctor.warm() == 0

@@ -10,8 +10,6 @@
 import argparse
 import csv
 import datetime
-import fnmatch
-import hashlib
 import json
 import os
 import re
@@ -21,16 +19,13 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = "docs/measured"
-NEEDED = {"about", "depends", "columns", "rows", "runs"}
-KEYS = NEEDED | {"cells", "texts", "minutes", "quiet"}
-OF_ANOTHER = {"of", "about", "columns", "rows"}
-"""Keys of another table of the numbers of a recipe, perhaps with ``cells`` and ``texts``."""
+KEYS = {"about", "depends", "columns", "rows", "runs", "cells", "texts", "minutes", "quiet", "of"}
 MARKER = re.compile(r"(?<!`)<!-- (table|commands|text): ([\w-]+)(?: ([\w-]+))? -->(.*?)<!-- end -->", re.DOTALL)
 NUMBER = re.compile(r"-?\d+(\.\d*)?(e[-+]?\d+)?")
 Record = dict[str, Any]
@@ -42,21 +37,12 @@ class MeasuredError(ValueError):
 
 def read_recipes(root: Path = ROOT) -> dict[str, dict[str, Any]]:
     """Recipes by name, with the paths of their groups in ``depends`` and a list of command lines for each run."""
-    path = root / MEASURED / "recipes.toml"
-    try:
-        recipes = tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise MeasuredError(f"{path}: not a TOML file: {error}") from None
+    recipes = tomllib.loads((root / MEASURED / "recipes.toml").read_text(encoding="utf-8"))
     groups = recipes.pop("groups", {})
     for name, recipe in recipes.items():
-        needed, keys = (OF_ANOTHER, OF_ANOTHER | {"cells", "texts"}) if "of" in recipe else (NEEDED, KEYS)
-        if not needed <= set(recipe) <= keys:
-            raise MeasuredError(
-                f"{name}: expected {sorted(needed)}, perhaps {sorted(keys - needed)}; got {list(recipe)}"
-            )
+        if unknown := set(recipe) - KEYS:
+            raise MeasuredError(f"{name}: unknown keys {sorted(unknown)}; there are {sorted(KEYS)}")
         if "of" in recipe:
-            if "runs" not in recipes.get(recipe["of"], {}):
-                raise MeasuredError(f"{name}: of = {recipe['of']!r} is no recipe with runs")
             continue
         recipe["depends"] = sorted({path for item in recipe["depends"] for path in groups.get(item, [item])})
         recipe["runs"] = {run: [lines] if isinstance(lines, str) else lines for run, lines in recipe["runs"].items()}
@@ -70,10 +56,7 @@ def read_numbers(name: str, root: Path = ROOT) -> dict[str, Any]:
     if "of" in recipe:
         numbers = read_numbers(recipe["of"], root)
         return numbers | made(recipe, numbers["values"])
-    path = root / MEASURED / f"{name}.json"
-    if not path.is_file():
-        raise MeasuredError(f'{path.name} is missing; it is written by  make measured RENEW="{name}"')
-    return json.loads(path.read_text(encoding="utf-8"))
+    return json.loads((root / MEASURED / f"{name}.json").read_text(encoding="utf-8"))
 
 
 # ---- Filling the pages -----------------------------------------------------------------------------------------------
@@ -86,20 +69,22 @@ def filled(page: str, numbers: Callable[[str], Mapping[str, Any]]) -> str:
         kind, name, key, _ = match.groups()
         found = numbers(name)
         if kind == "text":
-            if match.string[: match.start()].endswith("\n"):
-                raise MeasuredError(
-                    f"{name} {key}: no line may begin with a text, because Markdown would read it as HTML"
-                )
-            if key not in found["texts"]:
-                raise MeasuredError(f"{name}.json: no text {key!r}; it has {sorted(found['texts'])}")
             return f"<!-- text: {name} {key} -->{found['texts'][key]}<!-- end -->"
-        lines = ["```", *found["commands"], "```"]
+        lines = ["```", *of_one_seed(found["commands"]), "```"]
         if kind == "table":
             rows = [found["columns"], ["---"] + ["---:"] * (len(found["columns"]) - 1), *found["rows"]]
             lines = [re.sub(" +", " ", f"| {' | '.join(row)} |") for row in rows]
         return "\n".join([f"<!-- {kind}: {name} -->", *lines, "<!-- end -->"])
 
     return MARKER.sub(place, page)
+
+
+def of_one_seed(commands: Iterable[str]) -> list[str]:
+    """Commands without those that differ from an earlier one by their seed alone."""
+    first: dict[str, str] = {}
+    for line in commands:
+        first.setdefault(re.sub(r" --seed \d+", "", line), line)
+    return list(first.values())
 
 
 def pages(root: Path = ROOT) -> list[Path]:
@@ -129,53 +114,25 @@ def git(*arguments: str, root: Path = ROOT) -> str:
     return done.stdout if done.returncode == 0 else ""
 
 
-def tree(commit: str, root: Path = ROOT) -> dict[str, str]:
-    """Path -> hash of the content, for every file of a commit; empty if the commit is not here."""
-    lines = git("ls-tree", "-r", commit, root=root).splitlines()
-    return {path: head.split()[2] for head, path in (line.split("\t", 1) for line in lines)}
-
-
-def named(depends: list[str], files: Mapping[str, str]) -> list[str]:
-    """The files that a list of files, folders and patterns names."""
-    patterns = [*depends, *(f"{d}/*" for d in depends)]
-    return [f for f in files if any(fnmatch.fnmatch(f, p) for p in patterns)]
-
-
-def state(depends: list[str], files: Mapping[str, str]) -> str:
-    """A hash of what the files of ``depends`` contain, whatever their names are."""
-    contents = sorted(files[path] for path in named(depends, files))
-    return hashlib.sha256("\n".join(contents).encode()).hexdigest()[:16]
-
-
-def age(recipe: Mapping[str, Any], numbers: Mapping[str, Any], files: Mapping[str, str], root: Path = ROOT) -> str:
-    """Why the numbers are old; empty if they are not."""
-    if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
-        return "the recipe has changed"
-    if numbers["state"] == state(recipe["depends"], files):
-        return ""
-    since = git("log", "--oneline", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root).splitlines()
-    return f"{len(since)} commits" if since else "changes"
-
-
 def list_old(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> list[str]:
-    """Print which tables are old, and what renews them; returns their names."""
-    files, old = tree("HEAD", root), []
-    texts = {str(page.relative_to(root)): page.read_text(encoding="utf-8") for page in pages(root)}
-    measured = {name: recipe for name, recipe in recipes.items() if "of" not in recipe}
-    for name, recipe in measured.items():
+    """Print the tables whose recipe, or files that it depends on, have changed since; returns their names."""
+    old = []
+    for name, recipe in recipes.items():
+        if "of" in recipe:
+            continue
         why = "never measured"
         if (root / MEASURED / f"{name}.json").is_file():
             numbers = read_numbers(name, root)
-            if why := age(recipe, numbers, files, root):
-                why += f" since {numbers['date']}, commit {numbers['commit'][:9]}, {numbers['machine']['cpu']}"
+            since = git("log", "--oneline", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root)
+            why = f"{len(since.splitlines())} commits since {numbers['date']}" if since else ""
+            if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
+                why = "the recipe has changed"
         if why:
             old.append(name)
-            where = [page for page, text in texts.items() if re.search(rf"<!-- \w+: {name} ", text)]
-            print(f"{name}: {recipe['about']} ({', '.join(where) or 'on no page'})\n  {why}")
             quiet = ", without other load" if recipe.get("quiet") else ""
+            print(f"{name}: {recipe['about']}: {why}")
             print(f'  make measured RENEW="{name}"    # about {recipe.get("minutes", "?")} minutes of one core{quiet}')
-            print("".join(f"    {line}\n" for line in recipe["commands"]))
-    print(f"{len(old)} of {len(measured)} tables are older than what they depend on.")
+    print(f"{len(old)} tables are older than what they depend on.")
     return old
 
 
@@ -312,17 +269,14 @@ def renew(name: str, recipe: Mapping[str, Any], recordings: Path, done: dict[str
 
     if changed := git("status", "--porcelain", "--", *recipe["depends"]).strip():
         raise MeasuredError(f"commit first what the numbers depend on:\n{changed}")
-    before = state(recipe["depends"], tree("HEAD"))
     for line in recipe["commands"]:
         if line not in done:
             print(f"{name}: {line}", flush=True)
             done[line] = records_of(line, recordings)
-    if state(recipe["depends"], tree("HEAD")) != before:
-        raise MeasuredError("what the numbers depend on has changed while they were measured")
     values = {run: [r for line in lines for r in done[line]] for run, lines in recipe["runs"].items()}
     machine = describe(int(os.environ.get("NUMBA_NUM_THREADS", os.cpu_count() or 1)))
     numbers = {key: recipe[key] for key in ("about", "commands", "depends")} | made(recipe, values)
-    numbers |= {"state": before, "commit": git("rev-parse", "HEAD").strip()}
+    numbers |= {"commit": git("rev-parse", "HEAD").strip()}
     numbers |= {"date": datetime.date.today().isoformat(), "versions": machine["versions"]}
     numbers["machine"] = {"cpu": machine["processor"], "cores": machine["cores"], "threads": machine["threads"]}
     kept = (int, float, str)  # but not the settings of a sweep and empty cells
@@ -341,33 +295,25 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--recordings", type=Path, default=ROOT, help="folder in which commands find the recordings")
     parser.add_argument("--read", type=Path, metavar="FOLDER", help="take what the command has written here already")
     parser.add_argument("--fill", action="store_true", help="fill the pages from the files of numbers")
-    options, failed = parser.parse_args(arguments), 0
+    options = parser.parse_args(arguments)
+    recipes = read_recipes()
+    if not options.renew and not options.fill:
+        list_old(recipes)
+        return 0
+    done: dict[str, list[Record]] = {}
     try:
-        recipes = read_recipes()
-        if unknown := [name for name in options.renew if "runs" not in recipes.get(name, {})]:
-            known = ", ".join(name for name, recipe in recipes.items() if "runs" in recipe)
-            raise MeasuredError(f"no recipe with runs: {', '.join(unknown)}; there are {known}")
-        if not options.renew and not options.fill:
-            list_old(recipes)
-            return 0
-        done: dict[str, list[Record]] = {}
         if options.read:
-            lines = [line for name in options.renew for line in recipes[name]["commands"]]
-            if len(set(lines)) != 1:
-                raise MeasuredError(f"--read: expected tables of one command, got {len(set(lines))}")
-            done[lines[0]] = records_of(lines[0], options.recordings, options.read)
+            line = recipes[options.renew[0]]["commands"][0]
+            done[line] = records_of(line, options.recordings, options.read)
         for name in options.renew:
-            try:
-                renew(name, recipes[name], options.recordings.resolve(), done)
-            except (MeasuredError, OSError) as error:
-                failed += 1
-                print(f"{name}: not renewed: {error}", file=sys.stderr)
-        for page in fill(write=True):
-            print(f"filled {page.relative_to(ROOT)}")
+            renew(name, recipes[name], options.recordings.resolve(), done)
     except (MeasuredError, OSError) as error:
         print(error, file=sys.stderr)
-        return 2
-    return 1 if failed else 0
+        return 1
+    finally:
+        for page in fill(write=True):
+            print(f"filled {page.relative_to(ROOT)}")
+    return 0
 
 
 if __name__ == "__main__":

@@ -1,39 +1,40 @@
-"""A bank of multiple-choice questions, one for every wrong answer that a checker is tested with.
+"""A bank of multiple-choice questions, one for each wrong answer of which a checker also finds something true.
 
-Most questions show the function and four statements about it. One of them is not true: the first property that fails.
-The other three are true: the checker has tested them on the same function, and they hold. A property can hold on all
-inputs of the checker and yet not be true of the function; those that a reader found are left out
-(``NOT_OFFERED``).
-Where the checker states too little, statements of that reader stand beside, or the question asks which number the
-function returns. Either way there is one right option, and it is what the checker found.
+Each question shows a function and four statements, of which the checker finds one broken: the first property that
+fails. The other three were tested on the same function by the same checker, and hold. A property can hold on all inputs
+of the checker and yet not be true of the function; those that a reader found are left out (``NOT_OFFERED``).
+
+``python tools/quiz.py OUT`` writes for every chapter ``chapter_NN.md`` to read and ``chapter_NN.xml``, which Moodle and
+other learning platforms import, and ``answers.md``.
 """
 
+import argparse
 import ast
 import inspect
-import io
+import logging
 import random
 import re
-import textwrap
-import tokenize
-from collections.abc import Callable, Collection, Iterator
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from html import escape
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
+from gsfusion_nb.course.attempt import Attempt, Failed
+from gsfusion_nb.course.course import TITLES
+from gsfusion_nb.course.exercise import Exercise, exercises, source_of
+from gsfusion_nb.files import write_file
 
-from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten
-from gsfusion_nb.course.exercise import Exercise, exercises
-from gsfusion_nb.course.learner_code import plain_value
-from gsfusion_nb.foreign import read_object
-from gsfusion_nb.types import Camera
+log = logging.getLogger(__name__)
 
-_PURE = (torch.Tensor, np.ndarray, Camera, int, float, list, dict)
-"""Arguments that a second call finds as the first one did."""
-_STATEMENTS = ("close", "holds")
-"""With these a judge states a property. What fails in another way ends the judgement."""
+PROMPT = "Which of these statements does the checker find broken?"
+INTRODUCTION = (
+    "Each question shows a function that somebody might hand in; none of them is right. `correct_...` stands for a "
+    "right function of that name; names that are not explained are those of the chapter."
+)
 
 
 @dataclass
@@ -43,9 +44,7 @@ class Judged:
     broken: list[Failed] = field(default_factory=list)
     """Properties that failed, the first one first."""
     held: list[str] = field(default_factory=list)
-    """Properties that were tested and never failed."""
-    right_on: list[str] = field(default_factory=list)
-    """Inputs, in words, for which it returns what the solution returns."""
+    """Properties that were tested."""
 
 
 def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged:
@@ -55,81 +54,39 @@ def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged
         ValueError: no property fails, so the function is no wrong answer.
     """
     found = Judged()
-    attempt = _Compared(function, exercise._solution)
     with _collecting(inspect.unwrap(exercise.judge).__globals__, found):
         try:
-            exercise.judge(attempt)
+            exercise.judge(Attempt(function))
         except Failed as e:
             found.broken.append(e)
-        except NotWritten:
-            raise ValueError(f"{exercise.name}: the function is not written") from None
         except Exception:
             if not found.broken:
                 raise
     if not found.broken:
         raise ValueError(f"{exercise.name}: {function.__name__} passes, so it is no wrong answer")
-    props = {e.prop for e in found.broken}
-    found.held = [prop for prop in dict.fromkeys(found.held) if prop not in props]
-    wrong_on = {e.on for e in found.broken}
-    found.right_on = [on for on, right in attempt.right.items() if right and on not in wrong_on]
     return found
-
-
-class _Compared(Attempt):
-    """An attempt that also notes for which inputs the solution returns the same."""
-
-    def __init__(self, function: Callable[..., Any], solution: Callable[..., Any]):
-        super().__init__(function)
-        self.solution = solution
-        self.right: dict[str, bool] = {}
-        """Input, in words -> whether all calls with it returned what the solution returns."""
-
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        on = self.words
-        returned = super().__call__(*args, **kwargs)
-        pure = all(isinstance(a, _PURE) for a in (*args, *kwargs.values()))
-        same = pure and _same(returned, Attempt(self.solution)(*args, **kwargs))
-        self.right[on] = same and self.right.get(on, True)
-        return returned
-
-
-def _same(got: Any, expected: Any) -> bool:
-    """Whether two answers are equal, to a rounding."""
-    got, expected = plain_value(got), plain_value(expected)
-    if isinstance(expected, (list, tuple)):
-        return (
-            isinstance(got, (list, tuple))
-            and len(got) == len(expected)
-            and all(_same(a, b) for a, b in zip(got, expected, strict=True))
-        )
-    if isinstance(expected, torch.Tensor | int | float) and isinstance(got, torch.Tensor | int | float):
-        a, b = (torch.as_tensor(value).detach().double() for value in (got, expected))
-        return a.shape == b.shape and torch.allclose(a, b, rtol=1e-5, atol=1e-7, equal_nan=True)
-    return type(got) is type(expected) and got == expected
 
 
 @contextmanager
 def _collecting(module: dict[str, Any], found: Judged) -> Iterator[None]:
     """Within the block, the statements of a chapter's judges note a failure and go on."""
 
-    def noting(statement: Callable[..., None]) -> Callable[..., None]:
+    def noting(statement: Callable[..., None], position: int) -> Callable[..., None]:
         def noted(*args: Any, **kwargs: Any) -> None:
-            prop = kwargs.get("prop", args[{"close": 2, "holds": 1}[statement.__name__]])
+            found.held.append(kwargs["prop"] if "prop" in kwargs else args[position])
             try:
                 statement(*args, **kwargs)
             except Failed as e:
                 found.broken.append(e)
-            else:
-                found.held.append(prop)
 
         return noted
 
-    original = {name: module[name] for name in _STATEMENTS if name in module}
-    module.update({name: noting(statement) for name, statement in original.items()})
+    original = {name: (module[name], at) for name, at in (("close", 2), ("holds", 1)) if name in module}
+    module.update({name: noting(*statement) for name, statement in original.items()})
     try:
         yield
     finally:
-        module.update(original)
+        module.update({name: statement for name, (statement, _) in original.items()})
 
 
 NOT_OFFERED: dict[str, tuple[str, ...]] = {
@@ -160,138 +117,7 @@ NOT_OFFERED: dict[str, tuple[str, ...]] = {
 """Properties that hold on the inputs of the checker and are not true of the function, or so near the right option that
 both could be meant."""
 
-ALSO_TRUE: dict[str, tuple[str, ...]] = {
-    "exam_frames-3": ("it names no frame twice", "a frame that it names is one of the n frames"),
-    "first_seen-1": (
-        "a cell without depth gets no Gaussian", "a voxel that was seen before gets no Gaussian",
-        "the two conditions must both hold",
-    ),
-    "psnr-1": ("a picture that is twice as far off everywhere has a lower PSNR",),
-    "block_of-2": (
-        "the point (0, 0, 0) is in block (0, 0, 0)", "a block has 8 voxels along each axis", "it returns whole numbers",
-    ),
-    "slope-1": (
-        "it calls the loss once more than x has elements", "a smaller h gives a smaller error, until rounding counts",
-    ),
-    "fuse-1": (
-        "where before and after are equal, it returns them", "every row has its own weight",
-        "the weights of before and after add up to 1",
-    ),
-    "fuse-2": (
-        "where before and after are equal, it returns them", "it does not use the numbers of steps",
-        "the weights of before and after add up to 1",
-    ),
-    "disc_hit-4": ("the length of the ray does not matter", "a normal may point either way"),
-    "silhouette_rule-3": (
-        "a cell without depth gets no Gaussian", "it compares the opacity that it reads with max_alpha",
-    ),
-    "morton_code-1": ("the code of (0, 0, 0) is 0", "two different blocks have different codes"),
-    "zero_crossing-3": ("where D0 = 0 it returns p0", "where D1 = 0 it returns p1", "it returns a point for each edge"),
-    "split_cell-2": ("it returns four parts", "the four parts have the right sizes"),
-    "covariance_2d-2": (
-        "fx acts on u and fy on v", "a Gaussian of twice the size gives a matrix four times as large",
-        "off the axis, extent along z widens the ellipse",
-    ),
-    "slope-3": (
-        "it calls the loss twice for each element", "the slope of a straight line is its coefficients",
-        "it divides by the distance between the two points at which it calls the loss",
-    ),
-    "splat_alpha_vjp-3": ("for a single pixel it is right",),
-    "splat_alpha_vjp-4": ("where alpha is neither capped nor cut, it is right",),
-    "map_frame-1": ("it returns the number of new Gaussians", "no frame becomes a keyframe"),
-    "raster_rule-1": (
-        "all seeds of the right rule are among its seeds", "it makes one seed more than the right rule",
-        "one of its seeds is at the origin of the world",
-    ),
-    "raster_rule-4": (
-        "without an option it takes squares of 8 pixels", "its seeds are where those of the right rule are",
-        "it makes as many seeds as the right rule",
-    ),
-    "adam_traffic-2": (
-        "it counts four arrays that are read and three that are written", "the intensity does not depend on the size",
-        "twice the numbers give twice the first result",
-    ),
-    "average_loop-2": (
-        "the weight stops at max_weight", "d counts as at most 1", "a voxel without depth does not change",
-    ),
-}  # fmt: skip
-"""Statements that are true of the function as it stands in the question."""
-
-NUMBERED = frozenset({
-    "halve_intrinsics-1", "halve_intrinsics-2", "block_of-3", "view_colour-1", "slope-2", "inverse_vjp-1",
-    "inverse_vjp-2", "pinhole_vjp-1", "raster_rule-2", "silhouette_rule-1", "attainable_gflops-2",
-    "attainable_gflops-3", "adam_traffic-1", "depth_factor-1",
-})  # fmt: skip
-"""Questions that ask for the number which comes back: the words for the input say all that is needed to find it."""
-
-COUNTED = {"raster_rule": "seeds", "silhouette_rule": "seeds"}
-"""Exercises whose judge counts what comes back."""
-
-
-def snippet(exercise: Exercise, function: Callable[..., Any]) -> str:
-    """Source code of a wrong answer; a call of the course's solution becomes ``correct_<exercise>``."""
-    parts = [_plain_source(function)]
-    seen = {function, exercise._solution}
-    constants: dict[str, Any] = {}
-    queue = [function]
-    while queue:
-        for name, value in _globals_of(queue.pop()):
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                constants[name] = value
-            elif inspect.isfunction(value) and name.startswith("_") and value not in seen:
-                seen.add(value)
-                parts.insert(0, _plain_source(value))
-                queue.append(value)
-    if constants:
-        parts.insert(0, "\n".join(f"{name} = {value:.5g}" for name, value in sorted(constants.items())))
-    code = "\n\n".join(parts)
-    code = re.sub(rf"\b{re.escape(exercise._solution.__name__)}\b", f"correct_{exercise.name}", code)
-    return re.sub(rf"\b{re.escape(function.__name__)}\b", exercise.name, code)
-
-
-def _globals_of(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
-    """Names of the function's own module that its code uses, also in its inner functions."""
-    module = getattr(inspect.unwrap(function), "__globals__", {})
-    codes = [inspect.unwrap(function).__code__]
-    while codes:
-        code = codes.pop()
-        codes += [c for c in code.co_consts if inspect.iscode(c)]
-        for name in sorted(code.co_names):
-            value = module.get(name)
-            if not inspect.isfunction(value) or value.__module__ == function.__module__:
-                yield name, value
-
-
-def _plain_source(function: Callable[..., Any]) -> str:
-    """Source code without docstring and comments."""
-    source = textwrap.dedent(inspect.getsource(function))
-    lines = source.splitlines()
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            row, column = token.start
-            lines[row - 1] = lines[row - 1][:column].rstrip()
-    definition = ast.parse(source).body[0]
-    assert isinstance(definition, ast.FunctionDef)
-    first = definition.body[0]
-    if ast.get_docstring(definition) is not None and len(definition.body) > 1:
-        del lines[first.lineno - 1 : first.end_lineno]
-    return "\n".join(line for line in lines if line.strip())
-
-
-_ALWAYS = (
-    "it runs without an error on the checker's inputs",
-    "it does not change its inputs",
-    "it can be called with the arguments that the exercise names",
-)
-"""True of every wrong answer that is not refused for just this."""
-_REFUSED_FOR = {
-    "it runs": _ALWAYS[0],
-    "it does not change its inputs": _ALWAYS[1],
-}
-
-
-_STATEMENT = "Which of these statements is **not** true of this function?"
-_NUMBER = re.compile(r"^got (\S+?)( (?:at \[[\d, ]+\]|for \w+))?, expected (\S+?)(?:[.:] |$)")
+_ALWAYS = "it can be called with the arguments that the exercise names"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -301,95 +127,116 @@ class Question:
     name: str
     """Exercise and number of the wrong answer, counted from 1."""
     chapter: int
-    exercise: str
     title: str
     """What the exercise asks for."""
-    task: str
-    """The first lines of the function in the notebook: what goes in and out."""
     code: str
-    prompt: str
     options: tuple[str, ...]
     answer: int
     """Position of the right option."""
-    prop: str
-    """The property that fails."""
-    on: str
-    """The input on which it fails."""
-    detail: str
-    """What came back, and what was expected."""
+    said: str
+    """The checker's sentence: what fails, on which input, what came back and what was expected."""
 
 
-def bank(notebooks: Path, chapters: Collection[int] | None = None) -> list[Question]:
-    """All questions, or those of some chapters, in the order in which the notebooks ask for the functions."""
-    tasks = tasks_of(notebooks)
-    every = exercises()
-    names = [name for name in tasks if name in every] + [name for name in every if name not in tasks]
-    return [
-        question(every[name], number, tasks.get(name, ""))
-        for name in sorted(names, key=lambda name: every[name].chapter)
-        if chapters is None or every[name].chapter in chapters
-        for number in range(1, len(every[name].wrong) + 1)
-    ]
+def bank() -> list[Question]:
+    """All questions, by chapter."""
+    made = (question(e, number) for e in exercises().values() for number in range(1, len(e.wrong) + 1))
+    return [q for q in made if q is not None]
 
 
-def question(exercise: Exercise, number: int, task: str) -> Question:
-    """The question about wrong answer ``number`` of an exercise."""
+def question(exercise: Exercise, number: int) -> Question | None:
+    """The question about wrong answer ``number`` of an exercise; ``None`` if fewer than two others are left."""
     function = exercise.wrong[number - 1].function
+    name = f"{exercise.name}-{number}"
     judged = judge_thoroughly(exercise, function)
     first = judged.broken[0]
-    name = f"{exercise.name}-{number}"
-    prompt, right, others = _STATEMENT, first.prop, _true_statements(judged, name)
-    if name in NUMBERED:
-        prompt, right, others = _about_a_number(first, COUNTED.get(exercise.name, ""))
-    options = [right, *others]
+    broken = {e.prop for e in judged.broken}
+    held = [prop for prop in dict.fromkeys(judged.held) if prop not in {*broken, *NOT_OFFERED.get(name, ())}]
+    random.Random(name).shuffle(held)
+    if len(held) < 2:
+        return None
+    options = [first.prop, *[*held, _ALWAYS][:3]]
     random.Random(name).shuffle(options)
     return Question(
-        name=name, chapter=exercise.chapter, exercise=exercise.name, title=exercise.title, task=task,
-        code=snippet(exercise, function), prompt=prompt, options=tuple(options), answer=options.index(right),
-        prop=first.prop, on=first.on, detail=first.detail,
+        name=name, chapter=exercise.chapter, title=exercise.title, code=snippet(exercise, function),
+        options=tuple(options), answer=options.index(first.prop),
+        said=f"not true is: {first.prop}. Input: {first.on}. {first.detail[:1].upper()}{first.detail[1:]}",
     )  # fmt: skip
 
 
-def _true_statements(judged: Judged, name: str) -> list[str]:
-    """Three statements that hold: the checker's own, a reader's, inputs on which it is right, what always holds."""
-    refused = {_REFUSED_FOR[e.prop] for e in judged.broken if e.prop in _REFUSED_FOR}
-    own = [prop for prop in judged.held if prop not in NOT_OFFERED.get(name, ())]
-    random.Random(name).shuffle(own)
-    inputs = (on for on in judged.right_on if not on.startswith("the same"))  # "the same" as what, out of its place?
-    right = [f"its result is right for this input: {on}" for on in inputs]
-    return [*own, *ALSO_TRUE.get(name, ()), *right, *(s for s in _ALWAYS if s not in refused)][:3]
+def snippet(exercise: Exercise, function: Callable[..., Any]) -> str:
+    """Source code of a wrong answer without remarks; a call of the course's solution becomes ``correct_<exercise>``."""
+    tree = ast.parse(source_of(exercise.name, function, without=exercise._solution))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef) and ast.get_docstring(node) is not None and len(node.body) > 1:
+            del node.body[0]
+    solution = exercise._solution.__name__
+    return re.sub(rf"\b{re.escape(solution)}\b", f"correct_{exercise.name}", ast.unparse(tree))
 
 
-def _about_a_number(failed: Failed, counted: str) -> tuple[str, str, list[str]]:
-    """Prompt, right option and three others about the number that came back.
-
-    What a right function returns is among the others, for those who do not see the mistake.
-    """
-    match = _NUMBER.match(failed.detail)
-    assert match is not None, f"this is no question about a number: {failed.detail}"
-    place, value, right = match[2] or "", float(match[1]), float(match[3])
-    near = [right, 2 * value, value / 2, value - right, value + right, 2 * right, right / 2]
-    if counted:
-        near = [n for n in near if n >= 0]
-    if value.is_integer() and right.is_integer():
-        near = [n for n in near if n.is_integer()]
-    others = [text for text in dict.fromkeys(f"{n + 0.0:.5g}" for n in near) if text != f"{value:.5g}"][:3]
-    what = f"How many {counted} does" if counted else "What does"
-    prompt = f"Input: {failed.on}. {what} this function return{place}?"
-    return prompt, f"{value:.5g}", others
+def by_chapter(questions: Iterable[Question]) -> dict[int, list[Question]]:
+    """Questions of each chapter, in their order."""
+    return {chapter: list(own) for chapter, own in groupby(questions, key=lambda q: q.chapter)}
 
 
-def tasks_of(notebooks: Path) -> dict[str, str]:
-    """The docstring of every unwritten function of the notebooks, by the function's name, in their order."""
-    pattern = re.compile(r'^def (\w+)\(.*?\).*?:\n    """(.*?)"""', re.DOTALL | re.MULTILINE)
-    found = {}
-    for path in sorted(notebooks.glob("*.ipynb")):
-        for cell in read_object(path, "a notebook")["cells"]:
-            source = "".join(cell["source"])
-            if cell["cell_type"] == "code" and source.rstrip().endswith("..."):
-                found |= {name: _one_line(words) for name, words in pattern.findall(source)}
-    return found
+def chapter_page(chapter: int, questions: list[Question]) -> str:
+    """The questions of a chapter in Markdown, without answers."""
+    lines = [f"# Quiz, chapter {chapter}: {TITLES[chapter]}", "", INTRODUCTION, "", PROMPT]
+    for q in questions:
+        lines += ["", f"## {q.name}", "", q.title, "", "```python", q.code, "```", ""]
+        lines += [f"- {letter}. {_markdown(option)}" for letter, option in zip("ABCD", q.options, strict=True)]
+    return "\n".join(lines) + "\n"
 
 
-def _one_line(words: str) -> str:
-    return re.sub(r"\s+", " ", words).strip()
+def answers_page(questions: list[Question]) -> str:
+    """The right options, with what the checker says, in Markdown."""
+    lines = ["# Quiz: answers", "", "| question | | the checker says |", "|---|---|---|"]
+    lines += [f"| `{q.name}` | {'ABCD'[q.answer]} | {_markdown(q.said)} |" for q in questions]
+    return "\n".join(lines) + "\n"
+
+
+def moodle_xml(chapter: int, questions: list[Question]) -> str:
+    """The questions of a chapter in Moodle's XML; the feedback is the checker's sentence."""
+    quiz = ET.Element("quiz")
+    category = ET.SubElement(quiz, "question", type="category")
+    _text(ET.SubElement(category, "category"), f"$course$/gsfusion_nb/chapter {chapter:02}")
+    for q in questions:
+        question = ET.SubElement(quiz, "question", type="multichoice")
+        _text(ET.SubElement(question, "name"), q.name)
+        asked = f"<p>{escape(q.title)}</p><pre>{escape(q.code)}</pre><p>{PROMPT}</p>"
+        _text(ET.SubElement(question, "questiontext", format="html"), asked)
+        _text(ET.SubElement(question, "generalfeedback", format="html"), f"<p>{escape(q.said)}</p>")
+        ET.SubElement(question, "single").text = "true"
+        ET.SubElement(question, "shuffleanswers").text = "true"
+        for i, option in enumerate(q.options):
+            fraction = "100" if i == q.answer else "0"
+            _text(ET.SubElement(question, "answer", fraction=fraction, format="html"), escape(option))
+    ET.indent(quiz)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(quiz, encoding="unicode") + "\n"
+
+
+def _text(parent: ET.Element, text: str) -> None:
+    ET.SubElement(parent, "text").text = text
+
+
+def _markdown(text: str) -> str:
+    """Text in which Markdown finds no emphasis, no HTML and no end of a table's cell."""
+    return re.sub(r"([_<\\*|])", r"\\\1", text)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="Write the bank of quiz questions.")
+    parser.add_argument("out", type=Path, help="folder for Markdown pages and Moodle's XML")
+    out = parser.parse_args(arguments).out
+    questions = bank()
+    for chapter, own in by_chapter(questions).items():
+        write_file(out / f"chapter_{chapter:02}.md", chapter_page(chapter, own))
+        write_file(out / f"chapter_{chapter:02}.xml", moodle_xml(chapter, own))
+    write_file(out / "answers.md", answers_page(questions))
+    log.info("%d questions in %s", len(questions), out)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(format="%(message)s")  # other modules say only what goes wrong
+    log.setLevel(logging.INFO)
+    main()

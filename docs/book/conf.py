@@ -1,14 +1,11 @@
 """Settings of Sphinx for the web book; ``python -m book``, in ``tools``, assembles the pages and passes the title."""
 
-import inspect
 import os
 import sys
-from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, os.environ["GSNB_BOOK_PACKAGE"])
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.linkcode"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
 source_suffix = {".md": "markdown"}
 language = "en"
 
@@ -42,25 +39,11 @@ html_show_search_summary = False  # it reads other pages, which a page opened fr
 html_permalinks_icon = "#"
 html_static_path = [os.environ["GSNB_BOOK_STATIC"]]
 html_extra_path = [os.environ["GSNB_BOOK_EXTRA"]]
-html_css_files = ["book.css", "views.css"]
-html_js_files = [("book.js", {"defer": "defer"}), ("views.js", {"defer": "defer"})]
+html_css_files = ["book.css"]
+html_js_files = [("book.js", {"defer": "defer"})]
 templates_path = ["templates"]
 pygments_style = "default"
 pygments_dark_style = "github-dark"
-
-
-def linkcode_resolve(domain, info):
-    """Where the book shows the source of a name, seen from a page of the reference."""
-    thing: Any = sys.modules.get(info["module"])
-    try:
-        for part in info["fullname"].split("."):
-            thing = getattr(thing, part)
-        path = (
-            Path(str(inspect.getsourcefile(inspect.unwrap(thing)))).resolve().relative_to(Path(sys.path[0]).resolve())
-        )
-        return f"../source/{path.as_posix()}.html#L-{inspect.getsourcelines(inspect.unwrap(thing))[1]}"
-    except (AttributeError, OSError, TypeError, ValueError):
-        return None
 
 
 def _plain_bars(app, what, name, obj, options, lines):

@@ -1,8 +1,8 @@
 """The command ``gsfusion-nb`` and what its first word means: demo, convert, check, map, live, and so on."""
 
+import importlib
 import logging
 import os
-import select
 import sys
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -12,26 +12,14 @@ import tyro
 from ..backends import BackendUnavailable, from_environment, use_backend
 from ..config import DataConfig, gsfusion
 from ..config.values import parse_options
-from ..errors import is_foreseen, unforeseen
+from ..files import is_foreseen, unforeseen
 from .result import print_metrics, print_result
 from .settings import named_values
 
-_FIRST = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
-
-What to do first:
-
-  gsfusion-nb doctor               is everything in order on this machine?
-  gsfusion-nb demo                 map the built-in room: a report with pictures, in
-                                   about a minute, and once a minute for compiling
-  gsfusion-nb course DIR --open    copy the thirteen notebooks of the course to a new
-                                   folder DIR and open the first one in JupyterLab
-
-All commands: gsfusion-nb --help
-"""
-
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
-  gsfusion-nb demo                 map the built-in room (about a minute)
+  gsfusion-nb demo                 map the built-in room: a report with pictures, in
+                                   about a minute, and once a minute for compiling
   gsfusion-nb convert SOURCE OUT   convert a recording (COLMAP, ROS, Record3D, ...)
                                    to files that can be mapped
   gsfusion-nb check DATA           find errors in a recording, and the options that
@@ -40,14 +28,13 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb map DATA [options]   map a sequence
   gsfusion-nb map --resume RUN     continue an interrupted run
   gsfusion-nb live SOURCE          map a camera, or a folder while it is written;
-                                   SOURCE: folder, realsense or kinect
+                                   SOURCE: folder or realsense
   gsfusion-nb eval RUN             score a finished run again
   gsfusion-nb export RUN OUT       the maps for other programs, right side up: a .glb
                                    or .ply file, or a folder with all of them
   gsfusion-nb lab TABLE            compare seeding rules: rules x scenes x seeds x
                                    budgets, from a file (--new FILE writes one)
-  gsfusion-nb sweep DATA --grid X  compare values of settings, or repeat a table
-                                   of the papers
+  gsfusion-nb sweep DATA --grid X  compare values of settings
   gsfusion-nb study NAME DATA      run one of the papers' comparisons
   gsfusion-nb bench [GROUP]        measure the speed of operations and mapping
   gsfusion-nb course DIR           copy the notebooks of the course to a folder
@@ -142,44 +129,27 @@ def main(arguments: list[str] | None = None) -> int:
         status = _main(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
     except BrokenPipeError:
-        if not _nobody_reads():
-            raise
-        _write_nothing_more()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python's end says nothing, either
         return NOBODY_READS
     return status
 
 
 def _main(arguments: list[str]) -> int:
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    commands = {
-        "demo": _demo,
-        "convert": _convert,
-        "check": _check,
-        "offset": _offset,
-        "map": _map,
-        "live": _live,
-        "eval": _eval,
-        "export": _export,
-        "bench": _bench,
-        "lab": _lab,
-        "sweep": _sweep,
-        "study": _study,
-        "course": _course,
-        "grade": _grade,
-        "doctor": _doctor,
-    }
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(_USAGE if arguments else _FIRST)
+        print(_USAGE)
         return 0
     name, *rest = arguments
-    if name not in commands:
+    if name not in (*_MODULES, *_COMMANDS):
         print(f"no command {name!r}\n\n{_USAGE}", file=sys.stderr)
         return 2
     try:
-        return commands[name](rest)
+        if name in _MODULES:
+            return importlib.import_module(f".{name}", __package__).run(rest)
+        return _COMMANDS[name](rest)
+    except BrokenPipeError:
+        raise
     except Exception as e:
-        if isinstance(e, BrokenPipeError) and _nobody_reads():
-            raise
         text = e.args[0] if isinstance(e, KeyError) and e.args else e
         if isinstance(e, PermissionError) and e.filename:
             place = os.path.abspath(os.fsdecode(e.filename))
@@ -195,18 +165,6 @@ def _main(arguments: list[str]) -> int:
         for note in getattr(e, "__notes__", ()):
             print(note, file=sys.stderr)
         return 130
-
-
-def _map(arguments: list[str]) -> int:
-    from . import map
-
-    return map.run(arguments)
-
-
-def _live(arguments: list[str]) -> int:
-    from . import live
-
-    return live.run(arguments)
 
 
 def _convert(arguments: list[str]) -> int:
@@ -262,12 +220,6 @@ def _eval(arguments: list[str]) -> int:
     return 0
 
 
-def _export(arguments: list[str]) -> int:
-    from . import export
-
-    return export.run(arguments)
-
-
 def _bench(arguments: list[str]) -> int:
     from ..compare import bench
 
@@ -292,18 +244,6 @@ def _study(arguments: list[str]) -> int:
     return studies.study(parse_options(studies.StudyOptions, prog="gsfusion-nb study", arguments=arguments))
 
 
-def _course(arguments: list[str]) -> int:
-    from . import course
-
-    return course.run(arguments)
-
-
-def _grade(arguments: list[str]) -> int:
-    from . import grade
-
-    return grade.run(arguments)
-
-
 def _doctor(arguments: list[str]) -> int:
     from .. import doctor
 
@@ -311,19 +251,9 @@ def _doctor(arguments: list[str]) -> int:
     return doctor.warm() if options.warm else doctor.main()
 
 
-def _nobody_reads() -> bool:
-    """After a ``BrokenPipeError``: whether it was the standard output that broke, and no socket."""
-    try:
-        place = sys.stdout.fileno()
-    except (OSError, ValueError):  # no file, as in a notebook
-        return False
-    if not hasattr(select, "poll"):
-        return True
-    watch = select.poll()
-    watch.register(place, 0)  # errors are told without being asked for
-    return bool(watch.poll(0))
-
-
-def _write_nothing_more() -> None:
-    """Let what is still in the buffer of the standard output go nowhere, so that Python's end says nothing, either."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+_MODULES = ("map", "live", "export", "course", "grade")
+"""Commands that are modules of this package, with a function ``run``."""
+_COMMANDS = {
+    "demo": _demo, "convert": _convert, "check": _check, "offset": _offset, "eval": _eval, "bench": _bench,
+    "lab": _lab, "sweep": _sweep, "study": _study, "doctor": _doctor,
+}  # fmt: skip

@@ -3,7 +3,6 @@
 ``gsfusion-nb course export``: assignments.
 """
 
-import json
 import shlex
 import subprocess
 import sys
@@ -24,22 +23,18 @@ class CourseOptions:
     """
 
     folder: Annotated[Path | None, tyro.conf.Positional] = None
-    """Where to write the notebooks, without solutions, and the documentation that they link to. What you have changed
-    there is kept; a newer edition of such a notebook is written beside it."""
+    """Where to write the notebooks, without solutions, and the documentation that they link to. A notebook
+    that is there already stays; to get its newest edition, rename yours."""
     open: bool = False
     """Then open the first one in JupyterLab."""
 
-    json: bool = False
-    """Print JSON."""
     reset: bool = False
-    """Start the course again. Asks first; the file with your progress is renamed, not deleted."""
-    yes: bool = False
-    """With --reset: do not ask."""
+    """Start the course again. The file with your progress is renamed, not deleted."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Write the solved chapters as assignments for nbgrader or Otter-Grader: points, solution cells, hidden tests."""
+    """Write the solved chapters as assignments for nbgrader or Otter-Grader: points, solution cells, tests."""
 
     to: Literal["nbgrader", "otter"]
     """nbgrader: a course folder, for nbgrader generate_assignment. otter: notebooks for otter assign."""
@@ -51,14 +46,12 @@ class ExportOptions:
     """Folder of the solved chapters."""
     points: Path | None = None
     """TOML file with points: [difficulty] 1 = 2.0, or [exercise] psnr = 4."""
-    seed: int = -1
-    """Of the hidden inputs. Default: a new one."""
 
 
 def export(arguments: list[str]) -> int:
     """The command ``gsfusion-nb course export``."""
     from ..course.grading.export import export_course
-    from ..course.grading.marks import Points, new_seed, read_points
+    from ..course.grading.marks import Points, read_points
 
     options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
     found = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
@@ -67,37 +60,26 @@ def export(arguments: list[str]) -> int:
     if missing or not chosen:
         raise ValueError(f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}")
     points = read_points(options.points) if options.points else Points()
-    seed = options.seed if options.seed >= 0 else new_seed()
-    for path in export_course(chosen, options.out, options.to, points=points, seed=seed):
+    for path in export_course(chosen, options.out, options.to, points=points):
         print(f"wrote {path}")
     return 0
 
 
 def run(arguments: list[str]) -> int:
-    """The command. Exit status: 0 done, 1 not confirmed."""
+    """The command."""
     if arguments[:1] == ["export"]:
         return export(arguments[1:])
     from ..course.course import read_course
-
-    options = parse_options(CourseOptions, prog="gsfusion-nb course", arguments=arguments)
-    if options.reset:
-        return _reset(options.yes)
-    if options.folder is not None:
-        return _copy(options.folder, options.open)
-    course = read_course()
-    print(json.dumps(course.as_json(), indent=1) if options.json else course.as_table())
-    return 0
-
-
-def _reset(yes: bool) -> int:
-    """Start again."""
     from ..course.progress import reset
 
-    if not (yes or _confirmed()):
-        print("Nothing was changed.")
-        return 1
-    kept = reset()
-    print(f"The course starts again. Your progress so far is kept in {kept}" if kept else "There was no progress.")
+    options = parse_options(CourseOptions, prog="gsfusion-nb course", arguments=arguments)
+    if options.folder is not None:
+        return _copy(options.folder, options.open)
+    if options.reset:
+        kept = reset()
+        print(f"The course starts again. Your progress so far is kept in {kept}" if kept else "There was no progress.")
+    else:
+        print(read_course().as_table())
     return 0
 
 
@@ -105,14 +87,12 @@ def _copy(folder: Path, open_it: bool) -> int:
     """Write the notebooks and say how to open them, or open them."""
     from ..course.copies import FIRST, copy_for_learner
 
-    done = copy_for_learner(folder)
-    for notebook in done:
-        if notebook.state != "unchanged":
-            print(notebook)
+    for path in copy_for_learner(folder):
+        print(f"wrote {path}")
     first = str(folder / FIRST)
     if not open_it:
         word = quoted(first, windows=sys.platform == "win32")
-        print(f"{len(done)} notebooks are in {folder}. To open the first one: jupyter lab {word}")
+        print(f"The notebooks are in {folder}. To open the first one: jupyter lab {word}")
         return 0
     return subprocess.call([sys.executable, "-m", "jupyter", "lab", first])
 
@@ -120,12 +100,3 @@ def _copy(folder: Path, open_it: bool) -> int:
 def quoted(path: str, *, windows: bool) -> str:
     """A path as one word of a command line; Windows knows double quotes only."""
     return subprocess.list2cmdline([path]) if windows else shlex.quote(path)
-
-
-def _confirmed() -> bool:
-    """Whether somebody at the keyboard types yes."""
-    print(
-        "Start the course again? Solved exercises, predictions and accepted functions are set aside. Type yes: ", end=""
-    )
-    sys.stdout.flush()
-    return sys.stdin.readline().strip().lower() == "yes"

@@ -23,7 +23,7 @@ class ExportOptions:
     its surface as discs); a folder gets gaussians.ply and mesh.ply in one frame, -y up, and map.glb."""
 
     source: Annotated[Path, tyro.conf.Positional]
-    """Folder of a run, or a file of Gaussians: .ply, .glb, .splat, .spz or .sog."""
+    """Folder of a run, or a .ply file of Gaussians."""
     out: Annotated[Path, tyro.conf.Positional]
     """File to write, .glb or .ply, or a folder."""
     up: str = "auto"
@@ -72,19 +72,19 @@ def run(arguments: list[str]) -> int:
 
 def _read(source: Path) -> tuple[GaussianParams, Mesh | None]:
     """The Gaussians, and the mesh where there is one."""
-    from ..export import read_gaussians, read_map_glb, read_mesh_ply
+    from ..export import read_gaussian_ply, read_mesh_ply
 
-    if source.is_dir():
-        mesh = source / "mesh.ply"
-        return read_gaussians(source / "gaussians.ply"), read_mesh_ply(mesh) if mesh.is_file() else None
-    return read_map_glb(source) if source.suffix.lower() == ".glb" else (read_gaussians(source), None)
+    if not source.is_dir():
+        return read_gaussian_ply(source), None
+    mesh = source / "mesh.ply"
+    return read_gaussian_ply(source / "gaussians.ply"), read_mesh_ply(mesh) if mesh.is_file() else None
 
 
 def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianParams:
     """The Gaussians for a .ply file: a surface that they are drawn over as discs, too."""
     from ..config import from_dict
     from ..export import read_trajectory_tum
-    from ..foreign import parsing, read_object
+    from ..files import parsing, read_object
     from ..mapping.gps_surface import TSDF
     from ..mapping.systems import get_system
 
@@ -106,7 +106,7 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
 
 def _up(options: ExportOptions) -> tuple[torch.Tensor, str]:
     """The up direction, and how it was found."""
-    from ..export import read_trajectory_tum, up_of_map_glb
+    from ..export import read_trajectory_tum
     from ..geometry.upright import up_vector, world_up
 
     if options.up != "auto":
@@ -117,8 +117,6 @@ def _up(options: ExportOptions) -> tuple[torch.Tensor, str]:
     if options.source.is_dir() and trajectory.is_file():
         _, poses = read_trajectory_tum(trajectory)
         return world_up(list(poses)), f"the mean of the up directions of {len(poses)} cameras, {trajectory.name}"
-    if options.source.suffix.lower() == ".glb":
-        return up_of_map_glb(options.source), "a .glb file has y up"
     return up_vector(_AS_IN_FILES), "files of Gaussians have -y up, and there is no trajectory; --up changes it"
 
 

@@ -20,9 +20,6 @@ class GradeOptions:
     its own name; nbgrader's folder "submitted" is understood."""
     out: Path = Path("marks.csv")
     """The table of marks."""
-    rubric: Path | None = None
-    """Also write a page (HTML) that says the points and properties of each exercise. It is written without
-    submissions, too, if chapters or exercises are named."""
     chapters: tuple[int, ...] = ()
     """Chapters to mark. Default: those of which a submission has a function."""
     exercises: tuple[str, ...] = ()
@@ -30,56 +27,35 @@ class GradeOptions:
     points: Path | None = None
     """TOML file with points: [difficulty] 1 = 2.0, or [exercise] psnr = 4. Default: 1, 2, 3, 5 and 8 points for the
     difficulties 1 to 5."""
-    seed: int = -1
-    """Of the hidden inputs, the same for the whole class. Default: a new one, which is printed. Repeating a grading
-    with its seed gives the same marks."""
-    seconds: float = 30.0
-    """Processor time for each function. More: slow answers pass, and endless ones are waited for longer."""
-    memory_mb: int = 1024
-    """Memory for each function, beyond what Python and torch take."""
+    seconds: float = 120.0
+    """For all calls of a function, on the clock; one call may take as long as in a notebook."""
+    memory_mb: int = 4096
+    """Of the process in which a student's functions run, with Python and torch (on Linux)."""
     jobs: int = 0
     """Students at the same time. 0: one for each core, at most 8."""
 
 
 def run(arguments: list[str]) -> int:
     """The command. Exit status 0: the table is written, whatever the marks."""
-    from ..course.grading.marks import (
-        Grading,
-        Points,
-        exercises_of,
-        grade,
-        new_seed,
-        read_points,
-        rubric_page,
-        write_marks,
-    )
-    from ..course.grading.sandbox import Limits, unprotected
+    from ..course.grading.marks import Points, exercises_of, grade, read_points, write_marks
+    from ..course.grading.sandbox import Limits, why_no_bubblewrap
     from ..course.grading.submission import find_submissions
-    from ..files import write_file
 
     options = parse_options(GradeOptions, prog="gsfusion-nb grade", arguments=arguments)
     if options.seconds <= 0 or options.memory_mb <= 0:
         raise ValueError("--seconds and --memory-mb must be positive")
     points = read_points(options.points) if options.points else Points()
     submissions = find_submissions(options.submissions)
-    if not submissions and not (options.rubric and (options.chapters or options.exercises)):
+    if not submissions:
         raise ValueError("no submissions; name notebooks, .py files, or folders of them")
     names = exercises_of(options.chapters, options.exercises, submissions)
-    if options.rubric:
-        write_file(options.rubric, rubric_page(names, points))
-        print(f"Points and properties: {options.rubric}")
-    if not submissions:
-        return 0
-    seed = options.seed if options.seed >= 0 else new_seed()
-    print(
-        f"{len(submissions)} students, {len(names)} exercises, seed {seed} (--seed {seed} gives the same inputs again)"
-    )
-    if unprotected():
-        print(f"Take care: {unprotected()}")
-    grading = Grading(
-        names=names, points=points, seed=seed, limits=Limits(seconds=options.seconds, memory_mb=options.memory_mb)
-    )
-    marks = grade(submissions, grading, jobs=options.jobs, tell=print)
+    print(f"{len(submissions)} students, {len(names)} exercises")
+    if why_no_bubblewrap():
+        print(
+            f"{why_no_bubblewrap()}: a function may change your files and use the network. See docs/teaching/grading.md"
+        )
+    limits = Limits(seconds=options.seconds, memory_mb=options.memory_mb)
+    marks = grade(submissions, names, points=points, limits=limits, jobs=options.jobs, tell=print)
     write_marks(options.out, marks)
     print(f"Marks: {options.out}")
     return 0

@@ -8,7 +8,7 @@ import tyro
 
 from ..backends import use_backend
 from ..checks import check_name
-from ..data.stream import AzureKinect, GrowingFolder, LiveSource, RealSense
+from ..data.stream import GrowingFolder, LiveSource, RealSense
 from .result import print_result, rerun_file
 from .settings import SettingsOptions, parse
 
@@ -21,7 +21,6 @@ Ctrl-C ends the scan; then the report is written.
   gsfusion-nb live folder PATH [options]   map a folder in the plain layout while
                                            another program writes it
   gsfusion-nb live realsense [options]     track and map an Intel RealSense camera
-  gsfusion-nb live kinect [options]        track and map an Azure Kinect camera
 
 Every setting is an option, as in gsfusion-nb map:
   gsfusion-nb live folder scan --tsdf.voxel-size-m 0.02 --data.width 320
@@ -35,14 +34,9 @@ class LiveOptions(SettingsOptions):
 
     out: str = ""
     """New or empty folder for the results; runs/<name>-<time> by default."""
-    policy: Annotated[
-        Literal["", "all", "queue", "latest", "drop"], tyro.conf.arg(metavar="{all,queue,latest,drop}")
-    ] = ""
-    """What happens if mapping is slower than the camera. all: the source waits; queue: the oldest waiting frame is
-    dropped; latest: only the newest frame waits; drop: frames that arrive while another is mapped are dropped. Default:
-    latest for cameras, all for folders."""
-    queue: int = 4
-    """Largest number of waiting frames, for all and queue."""
+    policy: Literal["", "all", "latest"] = ""
+    """What happens if mapping is slower than the camera. all: the source waits; latest: only the newest frame waits,
+    older ones are dropped. Default: latest for cameras, all for folders."""
     frames: int = 0
     """End after this many frames; 0: continue until the source ends or Ctrl-C."""
     evaluate: bool = True
@@ -94,44 +88,16 @@ class RealSenseOptions(LiveOptions):
     """Frames per second."""
     serial: str = ""
     """Serial number of the camera; needed if several are connected."""
-    filters: tuple[Literal["decimation", "threshold", "spatial", "temporal", "hole_filling"], ...] = ()
-    """Filters of the driver for the depth images, in the order of the driver. Default: none."""
     warm_up: int = 30
     """Number of frames to skip at the start, while the camera adapts its exposure."""
 
     def source(self) -> LiveSource:
         """The camera."""
-        names = ("width", "height", "fps", "serial", "filters", "warm_up")
+        names = ("width", "height", "fps", "serial", "warm_up")
         return RealSense(**{name: getattr(self, name) for name in names})
 
 
-@dataclass(frozen=True, kw_only=True)
-class KinectOptions(LiveOptions):
-    """Map what an Azure Kinect sees; its poses are tracked. Ctrl-C ends the scan."""
-
-    resolution: Literal["720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "720P"
-    """Resolution of the colour camera; resize the images with --data.width 640."""
-    depth_mode: Literal["NFOV_2X2BINNED", "NFOV_UNBINNED", "WFOV_2X2BINNED", "WFOV_UNBINNED"] = "NFOV_UNBINNED"
-    """Depth mode: narrow (NFOV) or wide (WFOV) field of view; 2X2BINNED has half the resolution but a longer range."""
-    fps: Literal[5, 15, 30] = 30
-    """Frames per second."""
-    number: int = 0
-    """Number of the camera, from 0; needed if several are connected."""
-    warm_up: int = 30
-    """Number of frames to skip at the start, while the camera adapts its exposure."""
-
-    def source(self) -> LiveSource:
-        """The camera."""
-        return AzureKinect(
-            resolution=self.resolution,
-            depth_mode=self.depth_mode,
-            fps=self.fps,
-            device=self.number,
-            warm_up=self.warm_up,
-        )
-
-
-SOURCES: dict[str, Any] = {"folder": FolderOptions, "realsense": RealSenseOptions, "kinect": KinectOptions}
+SOURCES: dict[str, Any] = {"folder": FolderOptions, "realsense": RealSenseOptions}
 
 
 def run(arguments: list[str]) -> int:
@@ -161,7 +127,6 @@ def live(arguments: list[str]) -> "FinishedRun":
             source,
             make_mapper(_settings(options, source), device=options.device),
             policy=options.policy or None,
-            queue_frames=options.queue,
             watch=rerun_file(options.rerun) if options.rerun else None,
             folder=options.out or None,
             evaluate=options.evaluate,

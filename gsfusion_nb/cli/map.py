@@ -12,7 +12,7 @@ from .settings import SettingsOptions, named_values, parse
 
 _WITH_RESUME = (
     "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
-    "--checkpoint-every-frames", "--rerun", "--changed-data", "--no-changed-data",
+    "--checkpoint-every-frames", "--rerun",
 )  # fmt: skip
 
 
@@ -30,22 +30,17 @@ class MapOptions(SettingsOptions):
     format: str = "auto"
     """Layout of the data: auto (recognised by its files) or the name of a file in gsfusion_nb/data/readers, such as tum
     or replica."""
-    split: str = ""
-    """Published split of the data to map (ScanNet++: train or test). Default: the one that the reader chooses."""
     reader: tuple[str, ...] = ()
-    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
-    TUM), n_frames=480 (room)."""
+    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), split=train
+    (ScanNet++), poses=false (folder, TUM), n_frames=480 (room)."""
     from_gaussians: str = ""
-    """File of Gaussians that the map begins with (.ply, .glb, .splat, .spz, .sog), in metres, in the world frame of the
-    recording's poses; they are optimised with the new ones. GSFusion only."""
+    """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the recording's poses; they
+    are optimised with the new ones. GSFusion only."""
     rerun: str = ""
     """Also write a file for the Rerun viewer, FILE.rrd: frames, poses, the growing maps, scores (the extra "rerun").
     With --resume a new file, which holds what comes after the interruption."""
     resume: str = ""
     """Folder of an interrupted run to continue; no other option is needed."""
-    changed_data: bool = False
-    """With --resume: go on even if files of the recording were changed, added or deleted since the run began. The map
-    is then one of two data sets, and the report says so."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     checkpoint_every_s: float = 30.0
@@ -77,17 +72,12 @@ def run(arguments: list[str]) -> int:
                 evaluate=options.evaluate,
                 checkpoints=every,
                 watch=watch,
-                changed_data=options.changed_data,
             )
             return print_result(finished)
-        if options.changed_data:
-            raise ValueError("--changed-data is for a run that is continued: expected --resume FOLDER with it")
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
         reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
         reader |= named_values(options.reader)
-        if options.split:
-            reader["split"] = options.split
         watch = rerun_file(options.rerun) if options.rerun else None
         finished = run_mapping(
             options.data,

@@ -19,7 +19,7 @@ def print_result(run: "FinishedRun") -> int:
     for warning in run.run.warnings:
         print(f"note: {warning}")
     print(f"Files in {run.folder}:")
-    for path in sorted(run.folder.iterdir()):
+    for path in sorted(path for path in run.folder.iterdir() if path.name[0] != "."):
         print(f"  {path.name:<16} {path.stat().st_size / 1e6:8.2f} MB")
     interrupted, lost = run.run.status == "interrupted", run.run.mapper.localiser.frames_lost
     if lost and not interrupted:

@@ -12,10 +12,10 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from ..backends import from_environment
+from ..checks import shown
 from ..config import SystemConfig, from_dict, replace, to_dict
 from ..config.values import EVERYDAY, leaves, parse_options, with_own_settings
-from ..errors import SequenceError, shown
-from ..foreign import parse_json, read_object, reason_of
+from ..files import SequenceError, parse_json, read_object, reason_of
 
 O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
 ROOM = "room"

@@ -1,6 +1,5 @@
 """``gsfusion-nb lab``: a comparison from a file, with all its outputs in a folder."""
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,18 +11,15 @@ import tyro
 from ..backends import from_environment, use_backend
 from ..files import write_file
 from ..runs.run_folder import RunFolder
-from .executors import RUN_LIMIT_S, NoWorkerError, executor
+from .executors import executor
 from .map_scene import Entry
-from .outputs import write_outputs
+from .outputs import Results, Table
 from .run_all import ResultStore, run_all
-from .spec import RunResult, RunSpec, data_seen_once
-from .table_file import EXAMPLE, Table, read_table
-from .tune import is_tuned
+from .spec import RunResult, RunSpec
+from .table_file import EXAMPLE, read_table
 
 RENEW_S = 30.0
 """Seconds between two writings of the tables while runs are done."""
-TUNED_RUNS = 4.0
-"""Work of a run whose size is tuned, in runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,26 +33,19 @@ class WhereOptions:
     dask: str = ""
     """Address of the scheduler of a Dask cluster, such as tcp://host:8786, or "local" for one of --jobs workers on this
     machine. The workers must find the data under the same paths. Needs the extra "cluster"."""
-    run_limit_min: float = RUN_LIMIT_S / 60
-    """A run that takes longer fails, and its process is ended, minutes. Only with --jobs above 1, or with --dask."""
     backend: str = field(default_factory=from_environment)
     """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
-    cache: bool = True
-    """Use results of earlier commands from the shared cache, whatever their --out, and add new ones to it. Rows that
-    were copied say so in runs.csv (copied_from)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LabOptions(WhereOptions):
     """Compare seeding rules: rules x scenes x seeds x budgets, as a file says.
 
-    Writes runs.csv, table.md, table.tex, table.json, provenance.json and a page. After Ctrl-C the same command
-    continues; no run is computed twice, also in later commands."""
+    Writes runs.csv, table.md, table.json, a figure and a page. After Ctrl-C the same command continues; no run is
+    computed twice, also in later commands."""
 
     table: Annotated[str, tyro.conf.Positional] = ""
     """The file that describes the comparison (TOML)."""
-    skip_missing: bool = False
-    """Leave out the scenes whose folder is not there; they are named at the beginning and in the outputs."""
     new: str = ""
     """Write a commented example to this file, and do nothing else."""
 
@@ -72,72 +61,47 @@ def main(options: LabOptions) -> int:
     if not options.table:
         raise ValueError("expected the file of a comparison: gsfusion-nb lab table.toml (--new table.toml writes one)")
     with use_backend(options.backend):
-        table = read_table(options.table, skip_missing=options.skip_missing)
+        table = read_table(options.table)
         print(table)
         folder = Path(options.out or f"runs/{Path(options.table).stem}").expanduser()
-        return run_and_write(table.specs, folder, options, table=table)
+        return run_and_write(table.specs, folder, options, table=table)[0]
 
 
-def run_and_write(specs: Sequence[RunSpec], folder: Path, options: WhereOptions, *, table: Table | None = None) -> int:
-    """Run all ``specs``, print each result as it comes, and write the outputs. Returns the exit status.
+def run_and_write(
+    specs: Sequence[RunSpec], folder: Path, options: WhereOptions, *, table: Table | None = None
+) -> tuple[int, list[RunResult]]:
+    """Run all ``specs``, print each result as it comes, and write the outputs. Returns exit status and results.
 
     Tables are written anew while it runs, at most every ``RENEW_S`` seconds; page and figure at the end.
 
     Raises:
         FileExistsError: another command is writing to ``folder``.
     """
-    store = ResultStore(folder, shared=options.cache)
-    with RunFolder(folder), data_seen_once():
-        return _run_and_write(specs, store, options, table)
-
-
-def _run_and_write(specs: Sequence[RunSpec], store: ResultStore, options: WhereOptions, table: Table | None) -> int:
-    results: dict[int, RunResult] = {}
-    began, interrupted, lost, renewed_s = time.perf_counter(), False, "", time.perf_counter()
-    folder = store.folder
-    todo = {i: TUNED_RUNS if is_tuned(spec) else 1.0 for i, spec in enumerate(specs) if store.find(spec) is None}
-    all_work = sum(todo.values())
-    print(f"{len(specs) - len(todo)} of {len(specs)} runs are known already")
-    try:
-        with executor(options.jobs, options.dask, 60 * options.run_limit_min) as where:
-            for i, result in run_all([Entry(spec=spec) for spec in specs], store, where):
-                results[i] = result
-                todo.pop(i, None)
-                left = _left(sum(todo.values()), all_work, time.perf_counter() - began)
-                print(f"[{len(results):3d}/{len(specs)}] {describe(result)}{left}", flush=True)
-                if len(results) < len(specs) and time.perf_counter() - renewed_s > RENEW_S:
-                    write_outputs(folder, in_order(results), table, pictures=False)
-                    renewed_s = time.perf_counter()
-    except KeyboardInterrupt:
-        interrupted = True
-    except NoWorkerError as e:
-        lost = f"error: {e}"
-    done = in_order(results)
-    if done:
-        write_outputs(folder, done, table)
-        print(f"\n{(folder / 'table.md').read_text(encoding='utf-8')}")
+    table, results = table or Table(), dict[int, RunResult]()
+    with RunFolder(folder):
+        store, began, interrupted = ResultStore(), time.perf_counter(), False
+        renewed_s = began
+        try:
+            with executor(options.jobs, options.dask) as where:
+                for i, result in run_all([Entry(spec=spec) for spec in specs], store, where):
+                    results[i] = result
+                    print(f"[{len(results):3d}/{len(specs)}] {describe(result)}", flush=True)
+                    if len(results) < len(specs) and time.perf_counter() - renewed_s > RENEW_S:
+                        Results(runs=_in_order(results), about=table, store=store).write(folder, pictures=False)
+                        renewed_s = time.perf_counter()
+        except KeyboardInterrupt:
+            interrupted = True
+        done = _in_order(results)
+        if done:
+            Results(runs=done, about=table, store=store).write(folder)
+            print(f"\n{(folder / 'table.md').read_text(encoding='utf-8')}")
     failed = sum(result.status == "failed" for result in done)
-    copied = sum(bool(result.copied_from) for result in done)
-    if copied:
-        print(f"{copied} results were copied from {store.cache}; --no-cache computes them")
-    print(
-        f"{len(done)} of {len(specs)} runs in {time.perf_counter() - began:.0f} s, {failed} failed; files in {folder}"
-    )
+    took_s = time.perf_counter() - began
+    print(f"{len(done)} of {len(specs)} runs in {took_s:.0f} s, {failed} failed; files in {folder}")
     if interrupted:
         print("Interrupted: the same command continues.")
-        return 130
-    if lost:
-        print(lost, file=sys.stderr)
-    return 1 if failed or lost else 0
-
-
-def _left(work: float | int, of: float | int, elapsed_s: float) -> str:
-    """How long the rest will take, judged by what is done; empty before anything is, and at the end."""
-    if not 0 < work < of:
-        return ""
-    minutes = elapsed_s * work / (of - work) / 60
-    words = f"{60 * minutes:.0f} s" if minutes < 1.5 else f"{minutes:.0f} min"
-    return f"; about {words if minutes < 90 else f'{minutes / 60:.1f} h'} left"
+        return 130, done
+    return 1 if failed else 0, done
 
 
 def describe(result: RunResult) -> str:
@@ -147,11 +111,10 @@ def describe(result: RunResult) -> str:
     if result.status == "failed":
         return f"{name}: failed: {result.reason}"
     psnr = f"{numbers['psnr_held_out_db']:.2f} dB held out, " if "psnr_held_out_db" in numbers else ""
-    copied = ", copied from the shared cache" if result.copied_from else ""
-    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps{copied}"
+    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps"
 
 
-def in_order(results: dict[int, RunResult]) -> list[RunResult]:
+def _in_order(results: dict[int, RunResult]) -> list[RunResult]:
     """The results in the order of their runs."""
     return [results[i] for i in sorted(results)]
 

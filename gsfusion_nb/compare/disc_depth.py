@@ -10,11 +10,11 @@ import torch
 
 from ..checks import check_name
 from ..config import rtg_slam
-from ..constants import OPAQUE_ALPHA
 from ..data import open_sequence
 from ..gaussians import SurfelModel
 from ..mapping.surfel_optimiser import SurfelOptimiser, TrainingView
 from ..render import view_surface
+from ..render.constants import OPAQUE_ALPHA
 from ..seeding import SeedContext, apply_rule
 from ..types import Frame
 from ..work import ProgressDisplay

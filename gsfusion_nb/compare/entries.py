@@ -9,7 +9,7 @@ from typing import Any
 
 from ..config import SystemConfig
 from ..data import OpenedSequence, sequence_fingerprint
-from ..errors import SequenceError
+from ..files import SequenceError
 from ..mapping import get_system, system_of
 from ..seeding import Option, SeedingRule, check_options, rule_name
 from ..seeding.rule_code import find_rule, is_rule_file, read_rule_file

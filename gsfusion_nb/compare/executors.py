@@ -1,23 +1,24 @@
 """Where runs are done: in this process, in several on this machine, or on a Dask cluster; and what each does."""
 
+import concurrent.futures
 import contextlib
 import dataclasses
-import math
+import heapq
+import multiprocessing
+import os
 import pickle
+import signal
 import tempfile
 import threading
-import time
-import uuid
-from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, cast, runtime_checkable
 
 from ..backends import use_backend
 from ..mapping import StepReport
 from ..seeding import SeedingRule, rule_name
-from ..work import Died, WorkerPool, usable_cores
+from ..work import usable_cores
 from .map_scene import Entry, OnStep
 from .one_run import run_entry
 from .spec import RunResult, RunSpec, run_key
@@ -41,8 +42,6 @@ class Task:
     """Frames that the caller has opened; they cannot be sent."""
     tuned: dict[str, Any] | None = None
     """Result of the tuning, for a run."""
-    with_pictures: bool = True
-    """Whether pictures of some held-out views are made."""
     program: str = ""
     """``run_key()`` where the comparison was started; empty asks for nothing."""
 
@@ -88,18 +87,12 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
             entry = Entry(spec=task.spec, rule=rule, sequence=task.sequence)
             if task.kind == "tune":
                 return Answer(tuned=tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)), on_step))
-            return _run(entry, task, on_step)
+            with tempfile.TemporaryDirectory(prefix="gsfusion-lab-") as folder:
+                result = run_entry(entry, Path(folder), task.tuned, on_step)
+                pictures = {name: (Path(folder) / name).read_bytes() for name in result.pictures.values()}
+            return Answer(result=result, pictures=pictures)
         except Exception as e:  # a user's rule may raise anything
             return Answer(reason=f"{type(e).__name__}: {e}")
-
-
-def _run(entry: Entry, task: Task, on_step: OnStep) -> Answer:
-    if not task.with_pictures:
-        return Answer(result=run_entry(entry, None, task.tuned, on_step))
-    with tempfile.TemporaryDirectory(prefix="gsfusion-lab-") as folder:
-        result = run_entry(entry, Path(folder), task.tuned, on_step)
-        pictures = {name: (Path(folder) / name).read_bytes() for name in result.pictures.values()}
-    return Answer(result=result, pictures=pictures)
 
 
 def _pickled(rule: SeedingRule | bytes) -> bytes:
@@ -116,21 +109,14 @@ def _pickled(rule: SeedingRule | bytes) -> bytes:
         ) from None
 
 
-MOST_TRIES = 2
-"""A task whose process ends twice fails."""
 CONNECT_S = 10.0
 """How long a Dask scheduler may take to answer, seconds."""
-NO_WORKER_S = 60.0
-"""How long a Dask cluster that had workers may be without any before a comparison ends, seconds."""
-RUN_LIMIT_S = 6 * 3600.0
-"""How long a run may take in another process before it fails, seconds."""
-_LOOK_S = 1.0
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @runtime_checkable
 class Executor(Protocol):
-    """Does tasks, in any order."""
+    """Does tasks: runs before tunings, so that the first results are there early; otherwise by their numbers."""
 
     def put(self, number: int, task: Task) -> None:
         """Add a task."""
@@ -139,196 +125,81 @@ class Executor(Protocol):
     def get(self) -> tuple[int, Answer]:
         """Wait for the next answer."""
         ...
-
-
-class _Waiting:
-    """Tasks in order, runs before tunings: the first results are there early, and what is left can be estimated."""
-
-    def __init__(self):
-        self._runs: deque[tuple[int, Task]] = deque()
-        self._others: deque[tuple[int, Task]] = deque()
-
-    def __len__(self) -> int:
-        return len(self._runs) + len(self._others)
-
-    def append(self, item: tuple[int, Task]) -> None:
-        (self._runs if item[1].kind == "run" else self._others).append(item)
-
-    def popleft(self) -> tuple[int, Task]:
-        return (self._runs or self._others).popleft()
 
 
 class InProcess:
     """One task after another, in this process; ``on_step`` is called with the task before it, and after each frame."""
 
     def __init__(self, on_step: "Callable[[Task, StepReport | None], object]" = lambda task, report: None):
-        self._tasks, self._on_step = _Waiting(), on_step
+        self._tasks, self._on_step = list[tuple[bool, int, Task]](), on_step
 
     def put(self, number: int, task: Task) -> None:
         """Add a task."""
-        self._tasks.append((number, task))
+        heapq.heappush(self._tasks, (task.kind == "tune", number, task))
 
     def get(self) -> tuple[int, Answer]:
         """Do the next task."""
-        number, task = self._tasks.popleft()
+        _, number, task = heapq.heappop(self._tasks)
         self._on_step(task, None)
         return number, do_task(task, lambda report: self._on_step(task, report))
 
 
-class InProcesses:
-    """Several processes on this machine, which divide its cores. A task whose process dies is repeated once; one that
-    takes longer than ``limit_s`` has failed, and its process is ended."""
+class OnFutures:
+    """Processes of this machine, or a Dask cluster, whose scheduler repeats the tasks of a worker that is lost.
 
-    def __init__(self, pool: WorkerPool, limit_s: float = RUN_LIMIT_S):
-        self._pool, self._limit_s = pool, limit_s
-        self._began: dict[int, float] = {}
-        self._late: set[int] = set()
-        self._tasks = _Waiting()
-        self._all: dict[int, Task] = {}
-        self._tries: Counter[int] = Counter()
-        self._answers: deque[tuple[int, Answer]] = deque()
+    Args:
+        submit: Begins a task elsewhere; returns its future.
+        wait: Waits for the first of some futures, as ``concurrent.futures.wait``.
+    """
+
+    def __init__(self, submit: Callable[[Task], Any], wait: Callable[..., Any]):
+        self._submit, self._wait = submit, wait
+        self._numbers: dict[Any, int] = {}
 
     def put(self, number: int, task: Task) -> None:
         """Add a task."""
-        self._all[number] = task.packed()
-        self._tasks.append((number, self._all[number]))
+        self._numbers[self._submit(task.packed())] = number
 
     def get(self) -> tuple[int, Answer]:
         """Wait for the next answer."""
-        while not self._answers:
-            while self._tasks and self._pool.has_room:
-                number, task = self._tasks.popleft()
-                self._tries[number] += 1
-                self._pool.start(number, (task,))
-                self._began[number] = time.monotonic()
-            for number, answer in self._pool.wait(_LOOK_S):
-                self._ended(number, answer)
-            for number in self._pool.running - self._late:
-                if time.monotonic() - self._began[number] > self._limit_s:
-                    self._late.add(number)
-                    self._pool.end(number)
-        return self._answers.popleft()
-
-    def _ended(self, number: int, answer: Any) -> None:
-        if isinstance(answer, Answer):
-            self._answers.append((number, answer))
-        elif number in self._late:
-            self._answers.append((number, _too_long(self._limit_s)))
-        elif self._tries[number] < MOST_TRIES:
-            self._tasks.append((number, self._all[number]))
-        else:
-            why = "ended without a result (killed, or out of memory)" if answer is Died else "gave no result"
-            self._answers.append((number, Answer(reason=f"its process {why}, {MOST_TRIES} times")))
-
-
-class NoWorkerError(RuntimeError):
-    """A Dask cluster has lost all its workers."""
-
-
-class OnDask:
-    """A Dask cluster. Its scheduler repeats the tasks of a worker that is lost.
-
-    Args:
-        client: Of the cluster.
-        limit_s: A task that takes longer has failed, and its worker is started again.
-        no_worker_s: How long the cluster may be without any worker after it has had one.
-    """
-
-    def __init__(self, client: Any, limit_s: float = RUN_LIMIT_S, no_worker_s: float = NO_WORKER_S):
-        self._client, self._limit_s, self._no_worker_s = client, limit_s, no_worker_s
-        self._numbers: dict[Any, int] = {}
-        self.topic = f"gsfusion-lab-{uuid.uuid4().hex}"
-        """Of the events by which workers say which task they begin."""
-        self._began: dict[int, tuple[float, str]] = {}
-        self._n_events, self._alone_since = 0, math.inf
-
-    def put(self, number: int, task: Task) -> None:
-        """Add a task."""
-        future = self._client.submit(
-            _do_on_worker, task.packed(), number, self.topic, pure=False, priority=int(task.kind == "run")
-        )
-        self._numbers[future] = number
-
-    def get(self) -> tuple[int, Answer]:
-        """Wait for the next answer.
-
-        Raises:
-            NoWorkerError: all workers are lost, and no other one has come.
-        """
-        from distributed import wait
-
-        while True:
-            with contextlib.suppress(TimeoutError):
-                found: Any = wait(list(self._numbers), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
-                future = min(found.done, key=lambda future: self._numbers[future])
-                number, error = self._numbers.pop(future), future.exception()
-                if error is None:
-                    return number, future.result()
-                return number, Answer(reason=f"the cluster gave it up: {type(error).__name__}: {error}")
-            if (late := self._late()) is not None:
-                return late, _too_long(self._limit_s)
-            self._check_workers()
-
-    def _late(self) -> int | None:
-        """A task that has taken too long; it is given up, and its worker ended."""
-        events = self._client.get_events(self.topic) or ()
-        for _, event in events[self._n_events :]:
-            self._began[event["number"]] = time.monotonic(), event["worker"]
-        self._n_events = len(events)
-        for future, number in self._numbers.items():
-            began, worker = self._began.get(number, (math.inf, ""))
-            if time.monotonic() - began > self._limit_s:
-                del self._numbers[future]
-                future.cancel(force=True)
-                with contextlib.suppress(Exception):  # a worker without a nanny cannot be started again
-                    self._client.restart_workers([worker], timeout=CONNECT_S, raise_for_error=False)
-                return number
-        return None
-
-    def _check_workers(self) -> None:
-        if self._client.scheduler_info()["workers"]:
-            self._alone_since = time.monotonic()
-        elif time.monotonic() - self._alone_since > self._no_worker_s:
-            raise NoWorkerError(
-                f"the Dask cluster has had no worker for {self._no_worker_s:g} s: start one "
-                f"(dask worker {self._client.scheduler.address}) and repeat the command; finished runs are kept"
-            )
-
-
-def _do_on_worker(task: Task, number: int, topic: str) -> Answer:
-    from distributed import get_worker
-
-    worker = get_worker()
-    worker.log_event(topic, {"number": number, "worker": worker.address})
-    return do_task(task)
-
-
-def _too_long(limit_s: float) -> Answer:
-    return Answer(reason=f"it took longer than {limit_s / 60:g} min, the limit of a run, and was ended")
+        done = self._wait(list(self._numbers), return_when="FIRST_COMPLETED").done
+        future = min(done, key=lambda future: self._numbers[future])
+        number, error = self._numbers.pop(future), future.exception()
+        if error is None:
+            return number, future.result()
+        return number, Answer(reason=f"its process was lost: {type(error).__name__}: {error}")
 
 
 @contextlib.contextmanager
-def executor(jobs: int = 1, dask: str = "", limit_s: float = RUN_LIMIT_S) -> Iterator[Executor]:
+def executor(jobs: int = 1, dask: str = "") -> Iterator[Executor]:
     """An executor, as a context manager; at its end nothing of it is left running.
 
     Args:
         jobs: Number of processes on this machine; 1 uses this process.
         dask: Address of the scheduler of a Dask cluster ("tcp://host:8786"), or "local" for a cluster of ``jobs``
             worker processes on this machine; empty uses none.
-        limit_s: A run in another process that takes longer has failed, and its process is ended; one that hangs in this
-            process hangs.
 
     Raises:
         ValueError: the extra "cluster" is not installed, or there is no scheduler at the address.
     """
     if dask:
         with _client(jobs, dask) as client:
-            yield OnDask(client, limit_s)
+            yield on_dask(client)
     elif jobs > 1:
-        with WorkerPool(do_task, jobs, threads_of_each(jobs)) as pool:
-            yield InProcesses(pool, limit_s)
+        with _processes(jobs) as pool:
+            yield OnFutures(lambda task: pool.submit(do_task, task), concurrent.futures.wait)
     else:
         yield InProcess()
+
+
+def on_dask(client: Any) -> OnFutures:
+    """The cluster of a Dask client."""
+    from distributed import wait
+
+    def submit(task: Task) -> Any:
+        return client.submit(do_task, task, pure=False, priority=int(task.kind == "run"))
+
+    return OnFutures(submit, wait)
 
 
 def threads_of_each(jobs: int) -> dict[str, str]:
@@ -337,23 +208,48 @@ def threads_of_each(jobs: int) -> dict[str, str]:
 
 
 @contextlib.contextmanager
+def _processes(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
+    """Several processes, which divide the cores; if one dies, all tasks that are left have failed."""
+    before = dict(os.environ)
+    os.environ.update(threads_of_each(jobs))  # what is started now reads it, and nothing here does so again
+    spawn = multiprocessing.get_context("spawn")
+    pool = concurrent.futures.ProcessPoolExecutor(jobs, spawn, initializer=_begin_process)
+    try:
+        yield pool
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            process.terminate()
+
+
+def _begin_process() -> None:
+    """In a process of ``_processes``: Ctrl-C is for its parent, and when that was killed it ends, too."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextlib.contextmanager
 def _client(jobs: int, address: str) -> Iterator[Any]:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
         raise ValueError("a Dask cluster needs the extra \"cluster\": pip install 'gsfusion-nb[cluster]'") from None
-    if address != "local":
-        try:
-            client = Client(address, timeout=CONNECT_S)
-        except OSError as e:
-            raise ValueError(f"no Dask scheduler answers at {address}: {e}") from None
-        with client:
+    if address == "local":
+        cluster: Any = LocalCluster(n_workers=jobs, threads_per_worker=1, processes=True, env=threads_of_each(jobs),
+                                    dashboard_address=cast(Any, None))  # fmt: skip
+    else:
+        cluster = contextlib.nullcontext(address)
+    try:
+        with cluster as place, Client(place, timeout=CONNECT_S) as client:
             yield client
-        return
-    no_dashboard: Any = None
-    with (
-        LocalCluster(n_workers=max(jobs, 1), threads_per_worker=1, processes=True, dashboard_address=no_dashboard,
-                     env=threads_of_each(max(jobs, 1))) as cluster,
-        Client(cluster) as client,
-    ):  # fmt: skip
-        yield client
+    except OSError as e:
+        raise ValueError(f"no Dask scheduler answers at {address}: {e}") from None

@@ -14,55 +14,19 @@ from typing import Any, TypeVar, cast
 import numpy as np
 import torch
 
-from ..backends import observing
 from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
 from ..data.room import RoomSequence
-from ..geometry import project, se3
 from ..mapping import Mapper, StepReport, make_mapper
 from ..runs import MappingRun
 from ..runs.outputs import score
-from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_map_rule, rule_files
-from ..seeding.rule_code import rule_of_source
-from ..types import Camera, Seeds
+from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_built_in, is_map_rule, rule_files
+from ..seeding.rule import option_paths
+from ..seeding.rule_code import only_declared_files, rule_of_source
+from ..types import Seeds
 from ..work import PeakMemory
 from .schedule import dotted, fixed_schedule, flat_settings, with_settings
 from .spec import RunSpec
-
-
-class OutOfView:
-    """An observer (``observing``) of a mapper that counts the seeds of its rule outside of the frame's view."""
-
-    def __init__(self):
-        self._n = 0
-        self._behind, self._outside = torch.zeros(2, dtype=torch.long).unbind()
-
-    def __call__(self, name: str, f: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-        """Do the call; if a rule is asked, count its seeds."""
-        result = f(*args, **kwargs)
-        if name == "apply_rule" and len(result):
-            _, context, *_ = args
-            frame = context.frame
-            xyz_C = se3.apply(se3.inverse(frame.T_WC), result.xyz_W)
-            behind = xyz_C[:, 2] <= 0
-            self._n += len(result)
-            self._behind = self._behind.to(behind.device) + behind.sum()
-            self._outside = self._outside.to(behind.device) + (behind | ~_in_image(frame.camera, xyz_C)).sum()
-        return result
-
-    def note(self) -> list[str]:
-        """A sentence about them, if there are any."""
-        behind, outside = int(self._behind), int(self._outside)
-        if not outside:
-            return []
-        text = f"{outside:,} of {self._n:,} seeds lay outside the view of the camera"
-        return [f"{text}, {behind:,} of them behind it" if behind else text]
-
-
-def _in_image(camera: Camera, xyz_C: torch.Tensor) -> torch.Tensor:
-    """Whether points project into the image, or up to a pixel beside it."""
-    u, v = project(camera, xyz_C).unbind(-1)
-    return (u >= -1) & (u <= camera.width + 1) & (v >= -1) & (v <= camera.height + 1)
 
 
 def thinned(rule: SeedingRule, share: float) -> SeedingRule:
@@ -217,11 +181,10 @@ def map_scene(
         mapper, notes = _mapper(entry, config)
         notes += _asked(mapper, len(sequence.mapping))
         run, cpu_s, n_steps = MappingRun(sequence, mapper), [], 0
-        frames, unseen = run.online(), OutOfView()
+        frames = run.online()
         while True:
             began = time.process_time()
-            with observing(unseen):
-                report = next(frames, None)
+            report = next(frames, None)
             if report is None:
                 break
             cpu_s.append(time.process_time() - began)
@@ -234,7 +197,6 @@ def map_scene(
     empty = sum(report.n_gaussians == 0 for report in run.steps)
     if empty:
         notes.append(f"after {empty} of {len(run.steps)} frames the map was empty, so no gradient steps were taken")
-    notes += unseen.note()
     return Mapped(run=run, n_steps=n_steps, cpu_s=cpu_s, peak_mb=memory.peak_mb, notes=notes, online=online)
 
 
@@ -266,7 +228,9 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
             "was started; start it again, and give every worker the same files"
         )
     mapper = make_mapper(config, seeding=rule, device=spec.device)
-    mapper.rule_in_use.refuse_other_files()
+    if not is_built_in(entry.found_rule()):
+        paths = option_paths(rule, spec.options).values()
+        mapper.watch = lambda _: only_declared_files(spec.rule_name, paths)
     used, given = flat_settings(mapper.config), flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
         if dotted(name) not in used:  # keyframe_every in a system that chooses its keyframes by motion

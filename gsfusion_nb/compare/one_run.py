@@ -11,17 +11,16 @@ from typing import Any
 
 from ..data import sequence_fingerprint
 from ..drawing.pictures import encode_png
-from ..errors import SequenceError
-from ..evaluation import ImageScores, NotComputed, frame_rates
+from ..evaluation import NotComputed, frame_rates
 from ..evaluation.image import lpips_unavailable
-from ..files import write_file
+from ..files import SequenceError, write_file
 from ..runs import MappingRun
-from ..runs.outputs import environment, map_hashes, score_mesh, score_trajectory
+from ..runs.outputs import environment, map_hashes, score_mesh, score_trajectory, tracking_rates
 from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import rule_source
-from .map_scene import Entry, Mapped, OnStep, finished, map_scene
-from .spec import LIBRARIES, Budget, RunResult, RunSpec
-from .tune import reach_budget, tune
+from .map_scene import Entry, Mapped, OnStep, budgeted, finished, map_scene
+from .spec import Budget, RunResult, RunSpec, libraries
+from .tune import is_tuned, tune, tuning_spec, with_tuned
 
 MOST_PICTURES = 3
 """Held-out views of which pictures are saved."""
@@ -59,22 +58,28 @@ def run_entry(
     Args:
         entry: The run.
         folder: Where pictures are saved; None saves none.
-        tuned: What ``tune`` found; see ``reach_budget``.
+        tuned: What ``tune`` found for ``tuning_spec(entry.spec)``; it is tuned here if None.
         on_step: Called with the report of each frame of the scored run, and with None after other work.
     """
     try:
         budget = entry.spec.budget
-        ready = reach_budget(entry, tuned, on_step)
-        mapped = finished(map_scene(ready.entry, ready.config), on_step)
-        if budget.gaussians is not None and _error(mapped, budget) > budget.tolerance:
-            again = tune(ready.entry, on_step)
-            again["n_runs"] += ready.tuned["n_runs"]
-            ready = reach_budget(entry, again)
-            mapped = finished(map_scene(ready.entry, ready.config), on_step)
+        if is_tuned(entry.spec) and tuned is None:
+            tuned = tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)), on_step)
+        mapped = _mapped(entry, tuned, on_step)
+        if tuned is not None and _error(mapped, budget) > budget.tolerance:
+            again = tune(with_tuned(entry, tuned), on_step)
+            tuned = again | {"n_runs": again["n_runs"] + tuned["n_runs"]}
+            mapped = _mapped(entry, tuned, on_step)
         on_step(None)
-        return _result(entry, mapped, ready.tuned | _errors(mapped, budget), folder)
+        errors = {} if tuned is None else {"error_percent": 100 * _error(mapped, budget)}
+        return _result(entry, mapped, {**(tuned or {}), **errors}, folder)
     except Exception as e:  # a user's rule may raise anything
         return RunResult(spec=entry.spec, status="failed", reason=f"{type(e).__name__}: {e}")
+
+
+def _mapped(entry: Entry, tuned: Mapping[str, Any] | None, on_step: OnStep) -> Mapped:
+    sized = with_tuned(entry, tuned)
+    return finished(map_scene(sized, budgeted(sized.spec)), on_step)
 
 
 def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | None) -> RunResult:
@@ -95,12 +100,11 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
     hashes = map_hashes(run)
     numbers |= _mesh_numbers(run, hashes, content) | score_trajectory(run) | _costs(mapped)
     if entry.spec.online:
-        numbers |= _rates(run)
+        numbers |= frame_rates([s.total_seconds for s in run.steps]) | tracking_rates(run)
     return RunResult(
         spec=entry.spec,
         status="done",
         metrics={k: float(v) for k, v in numbers.items() if not isinstance(v, NotComputed) and math.isfinite(v)},
-        per_view={f"psnr_{name}_db": _per_view(group) for name, group in scores.items()},
         tuned=tuned,
         notes=mapped.notes,
         map_hash=hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest(),
@@ -131,18 +135,6 @@ def _error(mapped: Mapped, budget: Budget) -> float:
     return abs(len(mapped.run.mapper.gaussians) / budget.gaussians - 1)
 
 
-def _errors(mapped: Mapped, budget: Budget) -> dict[str, float]:
-    """Deviations of the scored run from its budget, per cent."""
-    errors = {} if budget.gaussians is None else {"error_percent": 100 * _error(mapped, budget)}
-    if budget.seconds is not None:
-        errors["seconds_error_percent"] = 100 * abs(mapped.seconds / budget.seconds - 1)
-    return errors
-
-
-def _per_view(scores: ImageScores) -> list[float]:
-    return [min(row.psnr, 100.0) for row in scores.rows]
-
-
 def _costs(mapped: Mapped) -> dict[str, Any]:
     """Sizes, steps, times and memory."""
     run = mapped.run
@@ -163,19 +155,9 @@ def _costs(mapped: Mapped) -> dict[str, Any]:
     }
 
 
-def _rates(run: MappingRun) -> dict[str, Any]:
-    """Frames per second, of tracking and mapping alone where poses are tracked."""
-    seconds = [s.total_seconds for s in run.steps]
-    tracking = sum(s.seconds.get("tracking", 0.0) for s in run.steps)
-    if not (run.mapper.localiser.is_tracking and tracking):
-        return frame_rates(seconds)
-    n, alone = len(seconds), max(sum(seconds) - tracking, 1e-9)
-    return frame_rates(seconds) | {"fps_tracking": n / tracking, "fps_mapping": n / alone}
-
-
 def versions() -> dict[str, str]:
     """Versions of the programs that decide the numbers, and the kind of machine."""
-    return environment() | LIBRARIES | {"processor": platform.processor() or platform.machine()}
+    return environment() | libraries() | {"processor": platform.processor() or platform.machine()}
 
 
 def _pictures(entry: Entry, mapped: Mapped, views: ScoredViews, folder: Path, content: str) -> dict[str, str]:

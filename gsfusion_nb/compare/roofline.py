@@ -22,7 +22,7 @@ from ..render import render_forward, render_vjp
 from ..tsdf import TsdfVolume, allocate
 from ..tsdf.integrate import fuse_frame_
 from ..types import Frame, GaussianParams
-from .bench.cases import DEVICES
+from .bench.run import DEVICES
 from .bench.scene import random_scene
 from .bench.timing import describe, header, lap, threads
 
@@ -237,7 +237,7 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
     return figure
 
 
-_COLOURS = {"reference": "#3d85c6", "torch": "#c98a1b", "numba": "#d1495b", "triton": "#8e5bb5"}
+_COLOURS = {"reference": "#3d85c6", "numba": "#d1495b", "triton": "#8e5bb5"}
 
 
 def _kernels(axes, points: list[KernelPoint], backend: str) -> None:

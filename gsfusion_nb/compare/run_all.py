@@ -9,81 +9,53 @@ from pathlib import Path
 from typing import Any
 
 from ..backends import chosen
-from ..files import cache_folder, write_file
-from ..foreign import read_object
+from ..files import cache_folder, read_object, write_file
 from ..seeding import SeedingRule, is_built_in, registered
 from .executors import Answer, Executor, InProcess, Task
 from .map_scene import Entry
-from .spec import RunResult, RunSpec, data_seen_once, run_key
+from .spec import RunResult, RunSpec, look_again, run_key
 from .tune import is_tuned, tuning_spec
 
 log = logging.getLogger(__name__)
 
 RESULTS = "results"
-"""Folder of the results in an output folder."""
+"""Folder of the results in a store."""
 
 
 class ResultStore:
-    """The results in an output folder, and those of earlier commands in a shared cache.
+    """The results of all comparisons, with their pictures, by the keys of their runs.
 
     Args:
-        folder: The output folder; results are in ``results/<key>.json``, pictures in ``pictures``. It is created.
-        cache: Folder of the shared cache; ``lab`` in the cache folder of this package by default.
-        shared: False uses no cache: nothing is copied from it or to it.
+        folder: Where they are; ``lab`` in the cache folder of this package by default. It is created.
     """
 
-    def __init__(self, folder: str | Path, cache: str | Path | None = None, *, shared: bool = True):
-        self.folder = Path(folder).expanduser()
-        self.cache = Path(cache).expanduser() if cache is not None else cache_folder() / "lab"
-        self._places = (self.folder, self.cache) if shared else (self.folder,)
+    def __init__(self, folder: str | Path | None = None):
+        self.folder = cache_folder() / "lab" if folder is None else Path(folder).expanduser()
         (self.folder / RESULTS).mkdir(parents=True, exist_ok=True)
 
     def find(self, spec: RunSpec) -> RunResult | None:
-        """The result of a run with the key of ``spec`` that is done, with the labels of ``spec``; None if none is.
-
-        A result from the shared cache is copied to the output folder with its pictures, and says so.
-        """
-        for place in self._places:
-            path = place / RESULTS / f"{spec.key}.json"
-            try:
-                found = RunResult.load(path) if path.is_file() else None
-                if found is not None and found.status == "done":
-                    found = dataclasses.replace(found, spec=spec)
-                    if place == self.cache != self.folder:
-                        found = dataclasses.replace(found, copied_from=str(self.cache))
-                        self._copy(found, self.cache, self.folder)
-                    return found
-            except (ValueError, OSError) as e:  # damaged, from another version, or without its pictures
-                log.warning("%s is not used: %s", path, e)
-        return None
+        """The result of a run with the key of ``spec`` that is done, with the labels of ``spec``; None if none is."""
+        path = self.folder / RESULTS / f"{spec.key}.json"
+        try:
+            found = RunResult.load(path) if path.is_file() else None
+        except (ValueError, OSError) as e:  # damaged, or from another version
+            log.warning("%s is not used: %s", path, e)
+            return None
+        return None if found is None or found.status != "done" else dataclasses.replace(found, spec=spec)
 
     def keep(self, result: RunResult) -> None:
-        """Write a result to the output folder; one that is done also to the shared cache."""
+        """Write a result."""
         result.save(self.folder / RESULTS / f"{result.key}.json")
-        if result.status == "done" and self.cache in self._places:
-            with contextlib.suppress(OSError):  # a cache that cannot be written only costs time
-                self._copy(result, self.folder, self.cache)
 
     def find_tuned(self, spec: RunSpec) -> dict[str, Any] | None:
         """What ``tune`` found for ``tuning_spec(spec)``; None if that is not known."""
-        for place in self._places:
-            path = place / "tuned" / f"{tuning_key(spec)}.json"
-            if path.is_file():
-                with contextlib.suppress(ValueError):
-                    return read_object(path, "the tuned option of a rule")
-        return None
+        path = self.folder / "tuned" / f"{tuning_key(spec)}.json"
+        with contextlib.suppress(ValueError):
+            return read_object(path, "the tuned option of a rule") if path.is_file() else None
 
     def keep_tuned(self, spec: RunSpec, tuned: dict[str, Any]) -> None:
         """Write what ``tune`` found for ``tuning_spec(spec)``."""
-        for place in self._places:
-            with contextlib.suppress(OSError):
-                write_file(place / "tuned" / f"{tuning_key(spec)}.json", json.dumps(tuned, indent=1))
-
-    def _copy(self, result: RunResult, start: Path, end: Path) -> None:
-        for name in result.pictures.values():
-            if not (end / name).exists():
-                write_file(end / name, (start / name).read_bytes())
-        result.save(end / RESULTS / f"{result.key}.json")
+        write_file(self.folder / "tuned" / f"{tuning_key(spec)}.json", json.dumps(tuned, indent=1))
 
 
 def tuning_key(spec: RunSpec) -> str:
@@ -92,7 +64,7 @@ def tuning_key(spec: RunSpec) -> str:
 
 
 def run_all(
-    entries: Sequence[Entry], store: ResultStore, executor: Executor | None = None, *, pictures: bool = True
+    entries: Sequence[Entry], store: ResultStore, executor: Executor | None = None
 ) -> Generator[tuple[int, RunResult], None, None]:
     """Run all ``entries``; yields position and result of each when it is there, each result written to ``store``.
 
@@ -103,21 +75,20 @@ def run_all(
         entries: The runs.
         store: Where results are kept.
         executor: Where the runs are done; in this process by default.
-        pictures: Make pictures of some held-out views.
     """
+    look_again()
     entries = [dataclasses.replace(entry, spec=dataclasses.replace(entry.spec)) for entry in entries]
-    positions: dict[str, list[int]] = {}
+    same: dict[str, list[int]] = {}
     known: dict[int, RunResult] = {}
-    plan = _Plan(entries, store, executor or InProcess(), pictures)
-    with data_seen_once():
-        for i, entry in enumerate(entries):
-            found = store.find(entry.spec)
-            if found is not None:
-                known[i] = found
-            else:
-                positions.setdefault(entry.spec.key, []).append(i)
-        left = {same[0]: same for same in positions.values()}
-        plan.begin(list(left))
+    for i, entry in enumerate(entries):
+        found = store.find(entry.spec)
+        if found is not None:
+            known[i] = found
+        else:
+            same.setdefault(entry.spec.key, []).append(i)
+    left = {positions[0]: positions for positions in same.values()}
+    plan = _Plan(entries, store, executor or InProcess())
+    plan.begin(list(left))
     yield from known.items()
     while left:
         for i, result in plan.next():
@@ -128,30 +99,32 @@ def run_all(
 class _Plan:
     """Tuning first; then the runs that waited for it."""
 
-    def __init__(self, entries: Sequence[Entry], store: ResultStore, executor: Executor, pictures: bool):
-        self._entries, self._store, self._executor, self._pictures = entries, store, executor, pictures
-        self._waiting: dict[str, list[int]] = {}
-        self._tuning: dict[int, str] = {}
+    def __init__(self, entries: Sequence[Entry], store: ResultStore, executor: Executor):
+        self._entries, self._store, self._executor = entries, store, executor
+        self._waiting: dict[int, list[int]] = {}
+        """Number of a tuning -> the runs that wait for it."""
 
     def begin(self, runs: list[int]) -> None:
         """Put the runs, by position, or the tunings that they need."""
+        waiting: dict[str, list[int]] = {}
         for i in runs:
             spec = self._entries[i].spec
             tuned = self._store.find_tuned(spec) if is_tuned(spec) else None
             if is_tuned(spec) and tuned is None:
-                self._waiting.setdefault(tuning_key(spec), []).append(i)
+                waiting.setdefault(tuning_key(spec), []).append(i)
             else:
                 self._put("run", i, i, tuned)
-        for n, (key, waiting) in enumerate(self._waiting.items()):
-            self._tuning[-1 - n] = key
-            self._put("tune", -1 - n, waiting[0], None)
+        for positions in waiting.values():
+            number = len(self._entries) + positions[0]
+            self._waiting[number] = positions
+            self._put("tune", number, positions[0], None)
 
     def next(self) -> list[tuple[int, RunResult]]:
         """Wait for one answer. Returns the runs that ended with it."""
         number, answer = self._executor.get()
-        if number not in self._tuning:
+        if number not in self._waiting:
             return [(number, self._result(number, answer))]
-        waiting = self._waiting[self._tuning[number]]
+        waiting = self._waiting[number]
         if answer.tuned is None:
             return [(i, self._result(i, answer)) for i in waiting]
         self._store.keep_tuned(self._entries[waiting[0]].spec, answer.tuned)
@@ -164,7 +137,7 @@ class _Plan:
         self._executor.put(
             number,
             Task(kind=kind, spec=entry.spec, backend=chosen(), rule=_own_rule(entry), sequence=entry.sequence,
-                 tuned=tuned, with_pictures=self._pictures, program=run_key()),
+                 tuned=tuned, program=run_key()),
         )  # fmt: skip
 
     def _result(self, i: int, answer: Answer) -> RunResult:

@@ -1,11 +1,10 @@
 """Settings by dotted name, and the fixed schedule of gradient steps that makes rules comparable."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from ..config import SystemConfig, from_dict
+from ..config import SystemConfig, from_dict, to_dict
 from ..config.values import leaves, nested, with_own_settings
 
 C = TypeVar("C")
@@ -36,13 +35,9 @@ def _whole_as_float(config: Any, tree: dict[str, Any]) -> None:
             tree[name] = float(value)
 
 
-def flat_settings(config: Any, path: str = "") -> dict[str, Any]:
+def flat_settings(config: Any) -> dict[str, Any]:
     """Dotted name -> value of every setting; the options of the seeding rule are one value."""
-    found: dict[str, Any] = {}
-    for field in dataclasses.fields(config):
-        name, value = f"{path}{field.name}", getattr(config, field.name)
-        found |= flat_settings(value, f"{name}.") if dataclasses.is_dataclass(value) else {name: value}
-    return found
+    return leaves(to_dict(config))
 
 
 def changed_settings(config: Any, base: Any) -> dict[str, Any]:
@@ -56,8 +51,8 @@ EQUAL_KEYFRAME_EVERY = 4
 SCHEDULE = frozenset({
     "keyframe_every", "keyframe_min_seeds", "keep_all_frames", "optim.keyframe_iterations", "optim.frame_iterations",
     "optim.random_keyframe_iterations", "optim.global_iterations", "window.iterations", "window.every_frames",
-    "window.frames", "keyframes.iterations", "keyframes.rotation_deg", "keyframes.translation_m", "keyframes.latest",
-    "keyframes.random", "keyframes.instead_of_window", "final.passes",
+    "window.frames", "keyframes.iterations", "keyframes.latest", "keyframes.random",
+    "keyframes.instead_of_window", "final.passes",
 })  # fmt: skip
 """Settings of any system that decide how many gradient steps are taken when. No rule may bring its own."""
 _PER_FRAME = ("optim.keyframe_iterations", "optim.frame_iterations", "optim.random_keyframe_iterations")
@@ -76,33 +71,9 @@ def fixed_schedule(config: SystemConfig) -> SystemConfig:
     return with_settings(config, changes)
 
 
-def with_steps_per_frame(config: SystemConfig, steps: int) -> SystemConfig:
-    """``config`` with this many gradient steps after each frame, divided between the frame and earlier keyframes as in
-    ``config``.
-
-    Raises:
-        ValueError: the system takes no steps per frame (RTG-SLAM optimises once per several frames).
-    """
-    known = flat_settings(config)
-    if not set(_PER_FRAME) <= set(known):
-        window = known.get("window.iterations")
-        if window is None:
-            raise ValueError(f"the gradient steps of {type(config).__name__} cannot be set by a budget of seconds")
-        return with_settings(config, {"window.iterations": steps})
-    _, own, random = (known[name] for name in _PER_FRAME)
-    on_random = math.floor(steps * random / max(own + random, 1))
-    return with_settings(config, dict(zip(_PER_FRAME, (steps, steps - on_random, on_random), strict=True)))
-
-
 def dotted(name: str) -> str:
     """``optim__lr_xyz`` as ``optim.lr_xyz``."""
     return name.replace("__", ".")
-
-
-def steps_per_frame(config: SystemConfig) -> int:
-    """Gradient steps after a frame, as ``with_steps_per_frame`` sets them."""
-    known = flat_settings(config)
-    return known.get("window.iterations", known.get("optim.keyframe_iterations", 0))
 
 
 def without_steps(config: SystemConfig) -> SystemConfig:

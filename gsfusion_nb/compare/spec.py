@@ -1,49 +1,49 @@
 """What one run is, as plain values: rule, options, scene, seed, budget, settings; its key and its result."""
 
-import contextlib
 import dataclasses
 import functools
 import hashlib
 import importlib.util
 import json
 import math
-from collections.abc import Iterator, Mapping
-from contextvars import ContextVar
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
-import numba
-import numpy as np
-import torch
-
 from .. import __version__
 from ..backends import MINE, BackendUnavailable, chosen
-from ..checks import check_name, check_number, check_positive
+from ..checks import check_number, shown
 from ..config import to_dict
 from ..config.values import check_kinds
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
-from ..errors import shown
-from ..files import write_file
-from ..foreign import read_object
+from ..files import read_object, write_file
 from ..mapping import get_system
 from ..seeding import Option, SeedingRule, is_built_in, registered, rule_files, rule_fingerprint
 from .schedule import with_settings
 
 _CODE = {".py", ".cu", ".cuh"}
-LIBRARIES = {"torch": torch.__version__, "numba": numba.__version__, "numpy": np.__version__, "opencv": cv2.__version__}
-"""The libraries that compute the numbers of a run, and their versions."""
+
+
+@functools.cache
+def libraries() -> dict[str, str]:
+    """The libraries that compute the numbers of a run, and their versions."""
+    import cv2
+    import numba
+    import numpy as np
+    import torch
+
+    return {"torch": torch.__version__, "numba": numba.__version__, "numpy": np.__version__, "opencv": cv2.__version__}
 
 
 def run_key(**parts: Any) -> str:
-    """A key of ``parts`` (plain values), of this package's version and source, and of ``LIBRARIES``: 32 hexadecimal
+    """A key of ``parts`` (plain values), of this package's version and source, and of ``libraries()``: 32 hexadecimal
     digits.
 
     Two runs with the same key give the same map on one machine. A change in the data, the settings, a rule, an option,
     the seed, the program or its libraries gives another key.
     """
-    parts |= {"version": __version__, "package": package_fingerprint(), "libraries": LIBRARIES}
+    parts |= {"version": __version__, "package": package_fingerprint(), "libraries": libraries()}
     text = json.dumps(parts, sort_keys=True, default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -75,11 +75,8 @@ class Budget:
     gaussians: int | None = None
     """Gaussians in the final map: one numeric option of each rule is tuned until it has this many. None: as many as the
     rule makes."""
-    seconds: float | int | None = None
-    """Wall time of the mapping, seconds: the gradient steps per frame are tuned until it takes this long. None: as long
-    as it takes."""
     tolerance: float | int = 0.05
-    """Largest relative deviation from ``gaussians`` or ``seconds``."""
+    """Largest relative deviation from ``gaussians``."""
 
     def __post_init__(self):
         check_kinds("budget", self)
@@ -89,14 +86,11 @@ class Budget:
             check_number("budget.gaussians", self.gaussians, 1)
             if not isinstance(self.gaussians, int):
                 raise ValueError(f"budget.gaussians must be a whole number, got {shown(self.gaussians)}")
-        if self.seconds is not None:
-            check_positive("budget.seconds", self.seconds)
         check_number("budget.tolerance", self.tolerance, 0.001, 0.5)
 
     def __str__(self) -> str:
-        parts = [] if self.gaussians is None else [f"{self.gaussians:,} Gaussians"]
-        parts += [] if self.seconds is None else [f"{self.seconds:g} s"]
-        return ", ".join([*(parts or ["own size"]), f"{self.steps} steps"])
+        size = "own size" if self.gaussians is None else f"{self.gaussians:,} Gaussians"
+        return f"{size}, {self.steps} steps"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +108,7 @@ class RunSpec:
     data: str = ""
     """Folder of the sequence, or "room"; ``scene`` if empty."""
     reader: Mapping[str, Option] = field(default_factory=dict)
-    """Options for opening the data: format, split, and those of the layout's reader, such as ``n_frames``."""
+    """Options for opening the data: format, and those of the layout's reader, such as ``n_frames``."""
     seed: int = 0
     """Seed of all random numbers."""
     budget: Budget = field(default_factory=Budget)
@@ -193,17 +187,13 @@ class RunSpec:
         """``sequence_fingerprint`` of the frames when this was first asked for; or why they cannot be opened."""
         if self.data_hash:
             return self.data_hash
-        seen = _seen.get()
         asked = json.dumps([self.data, dict(self.reader), to_dict(self.config())["data"]], sort_keys=True)
-        if seen is not None and asked in seen:
-            return seen[asked]
-        try:
-            found = sequence_fingerprint(self.opened())
-        except Exception as e:  # a reader of other people may raise anything; the run fails with it
-            found = f"{type(e).__name__}: {e}"
-        if seen is not None:
-            seen[asked] = found
-        return found
+        if asked not in _seen:
+            try:
+                _seen[asked] = sequence_fingerprint(self.opened())
+            except Exception as e:  # a reader of other people may raise anything; the run fails with it
+                _seen[asked] = f"{type(e).__name__}: {e}"
+        return _seen[asked]
 
     @functools.cached_property
     def key(self) -> str:
@@ -218,16 +208,8 @@ class RunSpec:
                 'use it outside `with use_backend("mine")`'
             )
         parts = self.to_json()
-        for name in (
-            "label",
-            "scene",
-            "data",
-            "rule",
-            "preset",
-            "fidelity",
-            "settings",
-        ):  # names, and what the settings say
-            parts.pop(name)
+        for name in ("label", "scene", "data", "rule", "preset", "fidelity", "settings"):
+            parts.pop(name)  # names, and what the settings say
         known = registered().get(self.rule)
         if known is not None and not is_built_in(known):  # registered in this process, such as in a notebook
             parts |= identity_of(known, self.options)
@@ -244,9 +226,6 @@ class RunSpec:
         Raises:
             ValueError, TypeError, KeyError: ``values`` are not those of a run.
         """
-        check_names = {f.name for f in dataclasses.fields(cls)}
-        for name in values:
-            check_name("field of a run", name, check_names)
         size_range = values.get("size_range")
         return cls(
             **{
@@ -273,17 +252,13 @@ def label_of(rule: str, options: Mapping[str, Option]) -> str:
     return " ".join([rule, *(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in options.items())])
 
 
-_seen: ContextVar[dict[str, str] | None] = ContextVar("seen", default=None)
+_seen: dict[str, str] = {}
+"""Data, options of the reader and settings -> ``sequence_fingerprint``, so that many runs look at them once."""
 
 
-@contextlib.contextmanager
-def data_seen_once() -> Iterator[None]:
-    """A block in which the same data are looked at only once for all runs; nothing should change them meanwhile."""
-    token = _seen.set({})
-    try:
-        yield
-    finally:
-        _seen.reset(token)
+def look_again() -> None:
+    """Forget what the data are: whoever asks for them next looks at the files anew."""
+    _seen.clear()
 
 
 MEASURED = frozenset({
@@ -309,8 +284,6 @@ class RunResult:
     cpu_ms_per_frame (of mapping, mean over all frames but the first), seeding_ms (of that the rule), seconds_total
     (mapping with all its optimisation, without scoring), seconds_global (of that after the scan), model_size_mb,
     peak_memory_mb (growth while mapping)."""
-    per_view: Mapping[str, list[float]] = field(default_factory=dict)
-    """Numbers of each view: psnr_held_out_db, psnr_mapped_db, in the order of the views."""
     tuned: Mapping[str, Any] = field(default_factory=dict)
     """How the budget was reached: option, value, n_runs (tuning runs), error_percent. Empty without a budget."""
     notes: list[str] = field(default_factory=list)
@@ -326,9 +299,6 @@ class RunResult:
     pictures: Mapping[str, str] = field(default_factory=dict)
     """Name of a picture -> its file, relative to the output folder: "held_out 4" is the render of frame 4, which was
     held out, "truth 4" its recorded image."""
-
-    copied_from: str = ""
-    """The shared cache that the result was copied from; empty if it was computed for its output folder."""
 
     @property
     def key(self) -> str:
@@ -350,9 +320,6 @@ class RunResult:
             ValueError, TypeError, KeyError: ``values`` are not those of a result.
         """
         values = {name: value for name, value in values.items() if name != "key"}
-        known = {f.name for f in dataclasses.fields(cls)}
-        for name in values:
-            check_name("field of a result", name, known)
         return cls(**{**values, "spec": RunSpec.from_json(values["spec"])})
 
     def save(self, path: Path) -> None:

@@ -5,7 +5,7 @@ The named comparisons are those of the papers, beside their numbers, and the que
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,17 +13,15 @@ from typing import Annotated, Any
 import tyro
 
 from ..backends import use_backend
-from ..checks import check_name, check_whole
-from ..course.paper_tables import PAPER_TABLES, PaperComparison
-from ..errors import SequenceError, shown
-from ..foreign import parse_json
+from ..checks import check_name, check_whole, shown
+from ..course.paper_tables import PaperComparison
+from ..files import SequenceError, parse_json
 from ..mapping import get_system
 from ..seeding import check_options
 from ..seeding.rule_code import is_rule_file, read_rule_file
 from . import disc_depth, roofline
 from .command import WhereOptions, run_and_write
 from .map_scene import Entry
-from .run_all import ResultStore
 from .spec import Budget, RunResult, RunSpec
 from .statistics import Group, group_runs
 
@@ -132,8 +130,8 @@ STUDIES: dict[str, Study] = {
         "RTG-SLAM's tracker: the surface it aligns to, and the back end", {
             "hybrid (released code)": {},
             "model (paper)": {"tracking.target": "model"},
-            "hybrid, without landmarks": {"tracking.landmarks.enabled": False},
-            "hybrid, back end": {"tracking.back_end.enabled": True},
+            "hybrid, without landmarks": {"tracking.landmarks": False},
+            "hybrid, back end": {"tracking.back_end": True},
         }, {**_RTG, **_TRACKED},
     ),
     "table-iv": Study(
@@ -160,22 +158,8 @@ STUDIES: dict[str, Study] = {
         "GSFusion, Table VIII: keyframe threshold", {str(n): {"keyframe_min_seeds": n} for n in (40, 50, 90)},
         table="VIII", views="mapped",
     ),
-    "rtg-table-3": Study(
-        "RTG-SLAM, Table 3: accuracy of the surface with given poses", {"RTG-SLAM": {}},
-        {**_RTG, "tracking.poses": "given"}, table="3",
-        about="Of discs, within 3 cm, on ScanNet++ in the paper; here where the true surface is known (the room).",
-    ),
 }  # fmt: skip
 """Name on the command line -> study. "disc-depth" (Fig. 7 of RTG-SLAM) and "roofline" have modules of their own."""
-PAPER_NAMES = (*(name for name, study in STUDIES.items() if study.table), "rtg-fig-6", "rtg-fig-7")
-_ALIASES = {"rtg-fig-6": "transparent", "rtg-fig-7": "disc-depth"}
-_GEOMETRY = ("Acc. cm", "Acc. ratio %", "Comp. cm", "Comp. ratio %")
-RTG_TABLE_3 = {
-    "NICE-SLAM": (4.45, 74.49, 2.04, 86.63), "Co-SLAM": (5.26, 78.86, 1.06, 96.25),
-    "ESLAM": (4.43, 74.51, 1.05, 97.42), "Point-SLAM": (0.67, 99.12, 0.68, 98.94),
-    "SplaTAM": (1.32, 95.31, 1.54, 93.55), "RTG-SLAM": (0.95, 96.41, 1.11, 97.16),
-}  # fmt: skip
-"""Table 3 of RTG-SLAM (Peng et al. 2024): method -> ``_GEOMETRY``."""
 RULE, OPTION = "seeding.rule", "rule."
 """The setting whose values are rules, and the beginning of the names of a rule's options."""
 
@@ -205,26 +189,24 @@ class SweepOptions(RecordingOptions):
     grid: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-g"]), tyro.conf.UseAppendAction] = ()
     """Values of a setting: --grid tsdf.voxel-size-m=0.01,0.02; of an option of the rule: --grid rule.fraction=0.1,0.2;
     rules: --grid seeding.rule=gsfusion,my_rules.py:mine. Repeat it for several settings."""
-    table: str = ""
-    """Instead of --grid, a comparison of the papers, beside its numbers: table-iv (voxel size), table-v (quadtree
-    threshold), table-vi (global optimisation), table-vii (random keyframes) or table-viii (keyframe threshold) of
-    GSFusion; rtg-table-3 (accuracy), rtg-fig-6 (transparent Gaussians) or rtg-fig-7 (disc depth) of RTG-SLAM."""
     system: str = "gsfusion"
-    """Name of the mapping system; a comparison of a paper chooses it itself."""
+    """Name of the mapping system."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions(RecordingOptions):
     """Run a named comparison on one recording and print a table.
 
-    A variant that was run before, by any command, is taken from the cache, and the output says so."""
+    A variant that was run before, by any command, is taken from the cache."""
 
     name: Annotated[str, tyro.conf.Positional]
     """What to compare: systems (all three), transparent (with and without transparent Gaussians), states (optimising
     unstable or all Gaussians), fidelity (as measured, paper or released code), gsfusion-settings and rtg-slam-settings
     (one changed setting at a time), depth (disc or blended depth), tracking (variants of the tracker), rate (GPS-SLAM's
     frames per second against its PSNR), colours (weights of the TSDF's colours, without Gaussians), disc-depth (depth
-    of single images), roofline (kernels and the limits of this machine), or a comparison of sweep --table."""
+    of single images), roofline (kernels and the limits of this machine), or an ablation of GSFusion's paper, beside its
+    numbers: table-iv (voxel size), table-v (quadtree threshold), table-vi (global optimisation), table-vii (random
+    keyframes), table-viii (keyframe threshold)."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     only: str = ""
@@ -241,10 +223,10 @@ def sweep(options: SweepOptions) -> int:
     Raises:
         ValueError, KeyError, TypeError: a setting that does not exist, or a value that is refused.
     """
-    if options.table in _ALIASES:
-        shared = {f.name: getattr(options, f.name) for f in dataclasses.fields(RecordingOptions)}
-        return study(StudyOptions(name=options.table, data=options.data, **shared))
-    return _run(options, options.table or "sweep", STUDIES.get(options.table), lambda: sweep_specs(options))
+    with use_backend(options.backend):
+        specs = sweep_specs(options)
+        print(f"{len(specs)} runs, on {options.data}")
+        return run_and_write(specs, _folder(options, "sweep", options.data), options)[0]
 
 
 def study(options: StudyOptions) -> int:
@@ -253,31 +235,26 @@ def study(options: StudyOptions) -> int:
     Raises:
         KeyError: no such study. ValueError: ``only`` leaves nothing.
     """
-    name = _ALIASES.get(options.name, options.name)
+    name = options.name
     check_name("study", name, ("disc-depth", "roofline", *STUDIES))
+    folder = _folder(options, f"study-{name}", options.data)
     if name in ("disc-depth", "roofline"):
-        folder = Path(options.out or f"runs/study-{name}").expanduser()
         folder.mkdir(parents=True, exist_ok=True)
         if name == "roofline":
             return roofline.main(options.device, folder)
         return disc_depth.main(options.data, folder, options.views)
-    return _run(options, f"study-{name}", STUDIES[name], lambda: study_specs(name, options, options.data, options.only))
-
-
-def _run(
-    options: SweepOptions | StudyOptions, name: str, asked: Study | None, make: Callable[[], list[RunSpec]]
-) -> int:
+    asked = STUDIES[name]
     with use_backend(options.backend):
-        specs = make()
-        folder = Path(options.out or f"runs/{name}-{Path(options.data).name}").expanduser()
-        print(f"{asked.question if asked else f'{len(specs)} runs'}, on {options.data}")
-        status = run_and_write(specs, folder, options)
-        if asked and asked.table and status != 130:
-            known = ResultStore(folder, shared=options.cache)
-            text = beside_paper(asked, [r for spec in specs if (r := known.find(spec)) is not None])
-            (folder / "beside-paper.txt").write_text(f"{text}\n", encoding="utf-8")
-            print(f"\n{text}")
+        specs = study_specs(name, options, options.data, options.only)
+        print(f"{asked.question}, on {options.data}")
+        status, results = run_and_write(specs, folder, options)
+        if asked.table:
+            print(beside_paper(asked, results))
     return status
+
+
+def _folder(options: RecordingOptions, name: str, data: str) -> Path:
+    return Path(options.out or f"runs/{name}-{Path(data).name}").expanduser()
 
 
 def sweep_specs(options: SweepOptions) -> list[RunSpec]:
@@ -286,18 +263,14 @@ def sweep_specs(options: SweepOptions) -> list[RunSpec]:
     Raises:
         ValueError, KeyError, TypeError: as for ``sweep``.
     """
-    if bool(options.grid) == bool(options.table):
-        raise ValueError("expected either --grid NAME=VALUE,VALUE or --table, such as --table table-iv")
-    if options.table:
-        check_name("table", options.table, PAPER_NAMES)
-        return study_specs(options.table, options, options.data)
-    axes = [parse_axis(text) for text in options.grid]
-    names = [name for name, _ in axes]
-    if twice := {name for name in names if names.count(name) > 1}:
-        raise ValueError(f"expected each setting once, got {', '.join(sorted(twice))} again")
+    if not options.grid:
+        raise ValueError("expected --grid NAME=VALUE,VALUE")
+    axes = dict(parse_axis(text) for text in options.grid)
+    if len(axes) < len(options.grid):
+        raise ValueError(f"expected each setting once, got {', '.join(options.grid)}")
     variants = {}
-    for values in itertools.product(*(values for _, values in axes)):
-        pairs = dict(zip(names, values, strict=True))
+    for values in itertools.product(*axes.values()):
+        pairs = dict(zip(axes, values, strict=True))
         label = ", ".join(str(v) if n == RULE else f"{n.rpartition('.')[2]} {v}" for n, v in pairs.items())
         variants[label] = {"system": options.system, **pairs}
     return _specs(variants, options, options.data, online=False)
@@ -309,7 +282,7 @@ def study_specs(name: str, options: RecordingOptions, data: str, only: str = "")
     Raises:
         ValueError, KeyError, TypeError: no variant whose name contains ``only``, or a setting that is refused.
     """
-    asked = STUDIES[_ALIASES.get(name, name)]
+    asked = STUDIES[name]
     variants = {label: values for label, values in asked.variants.items() if only.lower() in label.lower()}
     if not variants:
         raise ValueError(f"--only: no variant's name contains {only!r}; there are {', '.join(asked.variants)}")
@@ -378,18 +351,11 @@ def _value(text: str) -> Any:
 
 
 def beside_paper(asked: Study, results: Sequence[RunResult]) -> str:
-    """Our numbers, means over the seeds, with the paper's in brackets or below them."""
+    """Our numbers, means over the seeds, with the paper's in brackets."""
     groups = {g.label: g for g in group_runs(results)}
     rows = {label: groups[label] for label in asked.variants if label in groups and groups[label].runs}
-    if asked.table in PAPER_TABLES:
-        ours = {label: _in_the_papers_columns(group, asked.views) for label, group in rows.items()}
-        text = f"{PaperComparison(asked.table, ours)!r}\n(in brackets: the paper's numbers)"
-    else:
-        metrics = ("disc_accuracy_m", "disc_precision", "disc_completion_m", "disc_completion_ratio")
-        ours = {f"{label}, here": [100 * g.summary(m).mean for m in metrics] for label, g in rows.items()}
-        ours |= {f"{label}, paper": row for label, row in RTG_TABLE_3.items()}
-        lines = [f"{label:<18}" + "".join(f"{v:>15,.2f}" for v in row) for label, row in ours.items()]
-        text = "\n".join([" " * 18 + "".join(f"{name:>15}" for name in _GEOMETRY), *lines])
+    ours = {label: _in_the_papers_columns(group, asked.views) for label, group in rows.items()}
+    text = f"{PaperComparison(asked.table, ours)!r}\n(in brackets: the paper's numbers)"
     return "\n".join(filter(None, (asked.question, text, asked.about)))
 
 

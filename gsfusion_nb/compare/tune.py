@@ -4,14 +4,14 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
+from ..checks import shown
 from ..config import SystemConfig
-from ..errors import shown
 from ..seeding import SeedingRule, rule_name, rule_options
-from .map_scene import Entry, OnStep, budgeted, finished, map_scene, observed
-from .schedule import dotted, flat_settings, steps_per_frame, with_steps_per_frame, without_steps
+from .map_scene import Entry, OnStep, budgeted, map_scene, observed
+from .schedule import dotted, flat_settings, without_steps
 from .spec import RunSpec
 
 THIN = "thin"
@@ -230,25 +230,11 @@ TUNING_SEED = 1_000_003
 """Seed of tuning runs, so that tuning never sees the random numbers of a scored run."""
 FAR_TOO_MANY = 4.0
 """A tuning run ends where its map has this many times the Gaussians that are wanted."""
-MOST_STEPS = 10_000
-"""Largest number of gradient steps per frame that is tried."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ready:
-    """A run whose budget was tuned."""
-
-    entry: Entry
-    """With the tuned option."""
-    config: SystemConfig
-    """Settings of the mapper."""
-    tuned: dict[str, Any] = field(default_factory=dict)
-    """What was found, for ``RunResult.tuned``."""
 
 
 def is_tuned(spec: RunSpec) -> bool:
     """Whether the budget of ``spec`` asks for tuning."""
-    return spec.budget.gaussians is not None or spec.budget.seconds is not None
+    return spec.budget.gaussians is not None
 
 
 def tuning_spec(spec: RunSpec) -> RunSpec:
@@ -256,56 +242,25 @@ def tuning_spec(spec: RunSpec) -> RunSpec:
     return dataclasses.replace(spec, seed=TUNING_SEED)
 
 
-def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
-    """Find what the budget of ``entry`` asks for, with scratch runs; ``on_step`` is called between their frames.
-
-    Returns:
-        Plain values: option, value, n_gaussians (in the last tuning run), steps_per_frame, seconds, n_runs.
-
-    Raises:
-        NotReachedError: the budget cannot be reached. ValueError: the rule has no size option.
-    """
-    budget, found = entry.spec.budget, {}
-    if budget.gaussians is not None:
-        found = _tune_size(entry, on_step)
-        entry = apply_size(entry, found)
-    if budget.seconds is not None:
-        steps = _tune_seconds(entry, on_step)
-        found = {**found, **steps, "n_runs": found.get("n_runs", 0) + steps["n_runs"]}
-    return found
-
-
-def reach_budget(entry: Entry, tuned: Mapping[str, Any] | None = None, on_step: OnStep = lambda report: None) -> Ready:
-    """The run as its budget wants it.
-
-    Args:
-        entry: The run.
-        tuned: What ``tune`` found for ``tuning_spec(entry.spec)``; it is tuned here if None.
-        on_step: As for ``tune``.
-    """
-    if not is_tuned(entry.spec):
-        return Ready(entry=entry, config=budgeted(entry.spec))
+def with_tuned(entry: Entry, tuned: Mapping[str, Any] | None) -> Entry:
+    """``entry`` with the tuned value of its size option, if something was tuned."""
     if tuned is None:
-        tuned = tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)), on_step)
-    entry = apply_size(entry, tuned)
-    config = budgeted(entry.spec)
-    if "steps_per_frame" in tuned:
-        config = with_steps_per_frame(config, tuned["steps_per_frame"])
-    return Ready(entry=entry, config=config, tuned=dict(tuned))
-
-
-def apply_size(entry: Entry, tuned: Mapping[str, Any]) -> Entry:
-    """``entry`` with the tuned value of its size option."""
-    if "option" not in tuned:
         return entry
     option = size_option(entry.spec, entry.found_rule())
     return dataclasses.replace(entry, spec=with_size(entry.spec, option, tuned["value"]))
 
 
-def _tune_size(entry: Entry, on_step: OnStep) -> dict[str, Any]:
-    """First without gradient steps, which is fast; then, if they can change the number of Gaussians, with all of them.
+def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
+    """Find what the budget of ``entry`` asks for, with scratch runs; ``on_step`` is called between their frames.
 
+    First without gradient steps, which is fast; then, if they can change the number of Gaussians, with all of them.
     They cannot if the rule never read the Gaussians of the map and does not edit it.
+
+    Returns:
+        Plain values: option, value, n_gaussians (in the last tuning run), n_runs.
+
+    Raises:
+        NotReachedError: the budget cannot be reached. ValueError: the rule has no size option.
     """
     spec, rule, used = entry.spec, entry.found_rule(), set()
     option, config = size_option(spec, rule), budgeted(spec)
@@ -359,23 +314,3 @@ def _count(entry: Entry, config: SystemConfig, most: float, on_step: OnStep) -> 
             return int(float(f"{report.n_gaussians * n_frames / done:.2g}"))
         on_step(None)
     raise AssertionError
-
-
-def _tune_seconds(entry: Entry, on_step: OnStep) -> dict[str, Any]:
-    budget, config = entry.spec.budget, budgeted(entry.spec)
-    assert budget.seconds is not None
-
-    def count(steps: Number) -> float:
-        run = map_scene(entry, with_steps_per_frame(config, int(steps)), scratch=True)
-        return finished(run, lambda report: on_step(None)).seconds
-
-    start = max(steps_per_frame(config), 1)
-    counts = search(count, budget.seconds, start=start, low=1, high=MOST_STEPS, whole=True,
-                    tolerance=budget.tolerance / 2)  # fmt: skip
-    try:
-        found = nearest(counts, budget.seconds, budget.tolerance)
-    except NotReachedError as e:
-        raise NotReachedError(
-            f"{budget.seconds:g} s within {budget.tolerance:.1%} cannot be reached by gradient steps per frame: {e} s"
-        ) from None
-    return {"steps_per_frame": int(found), "seconds": counts[found], "n_runs": len(counts)}

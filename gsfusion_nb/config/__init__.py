@@ -1,12 +1,8 @@
 """Settings of a run: frozen dataclasses with the unit in the name, and presets named after papers and data sets."""
 
-from .gps_slam import GPS_SLAM_DIFFERS as GPS_SLAM_DIFFERS
 from .gps_slam import BaseConfig as BaseConfig
 from .gps_slam import GpsSlamConfig as GpsSlamConfig
-from .gps_slam import PassesConfig as PassesConfig
-from .gps_slam import ResidualConfig as ResidualConfig
 from .gps_slam import ScheduleConfig as ScheduleConfig
-from .gps_slam import ViewsConfig as ViewsConfig
 from .gps_slam import gps_slam as gps_slam
 from .gps_slam import gps_slam_fidelity as gps_slam_fidelity
 from .gsfusion import GSFusionConfig as GSFusionConfig
@@ -20,15 +16,11 @@ from .parts import SeedingConfig as SeedingConfig
 from .parts import SystemConfig as SystemConfig
 from .parts import TsdfConfig as TsdfConfig
 from .rtg_slam import DiscConfig as DiscConfig
-from .rtg_slam import FinalConfig as FinalConfig
-from .rtg_slam import KeyframeConfig as KeyframeConfig
 from .rtg_slam import RtgSlamConfig as RtgSlamConfig
 from .rtg_slam import StateConfig as StateConfig
 from .rtg_slam import WindowConfig as WindowConfig
 from .rtg_slam import rtg_slam as rtg_slam
 from .rtg_slam import rtg_slam_fidelity as rtg_slam_fidelity
-from .tracking import BackEndConfig as BackEndConfig
-from .tracking import LandmarkConfig as LandmarkConfig
 from .tracking import TrackingConfig as TrackingConfig
 from .values import from_dict as from_dict
 from .values import replace as replace

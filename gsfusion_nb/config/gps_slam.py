@@ -8,14 +8,13 @@ import functools
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from ..checks import check_name, check_number
 from .gsfusion import OptimConfig
 from .parts import SeedingConfig, SystemConfig, TsdfConfig
-from .values import check_kinds, fidelity_of, from_dict, replace
+from .values import Presets, Settings, within
 
 
 @dataclass(frozen=True, kw_only=True)
-class BaseConfig:
+class BaseConfig(Settings, group="base"):
     """The picture of the TSDF that the Gaussians are blended over."""
 
     holes: Literal["filled", "black", "gaussians"] = "filled"
@@ -24,33 +23,27 @@ class BaseConfig:
     resolution: Literal["full", "half"] = "half"
     """Size of the TSDF's picture for seeds and gradient steps: as large as the image, or half as wide and high and then
     enlarged ("half"), which takes 0.4 of the time. What tracks, is scored or shown is always full."""
-    behind_m: float = 0.1
+    behind_m: float = within(0.1, 0, 100)
     """A Gaussian whose centre is farther than this behind the surface is hidden, metres. Larger: Gaussians of hidden
     surfaces shine through; smaller: noise of the surface hides Gaussians that belong to it. Code 0.1, paper the
     truncation distance. Usual: 0.02 to 0.1."""
 
-    def __post_init__(self):
-        check_kinds("base", self)
-        check_number("base.behind_m", self.behind_m, 0, 100)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ResidualConfig:
+class ResidualConfig(Settings, group="residual"):
     """Learning rates of the Gaussians, which stay constant, and which of them are removed."""
 
-    lr_xyz: float = 1.6e-4
+    lr_xyz: float = within(1.6e-4, 0, 10)
     """Learning rate of the centres, metres per step. Useful learning rates, here and below, lie within a factor of ten
     of the defaults; a larger one learns faster, but the values may oscillate. (The release multiplies this by the size
     of the whole walk, which is not known online.)"""
-    lr_sh_dc: float = 2.5e-2
+    lr_sh_dc: float = within(2.5e-2, 0, 10)
     """Learning rate of the base colour (spherical harmonics of degree 0). Released: 2.5e-3."""
-    lr_sh_rest: float = 1.25e-3
+    lr_sh_rest: float = within(1.25e-3, 0, 10)
     """Learning rate of the view-dependent colour (degrees 1 to 3). Released: 5e-4."""
-    lr_log_scale: float = 5e-3
+    lr_log_scale: float = within(5e-3, 0, 10)
     """Learning rate of the logarithm of the sizes: 5e-3 changes a size by about 0.5 % per step."""
-    lr_quat: float = 1e-3
-    """Learning rate of the rotations (quaternion components)."""
-    lr_opacity_logit: float = 5e-2
+    lr_opacity_logit: float = within(5e-2, 0, 10)
     """Learning rate of the opacities, before the sigmoid."""
     loss: Literal["l1", "l2"] = "l1"
     """What a step makes smaller: the mean absolute ("l1", as released) or squared ("l2") difference of the colours.
@@ -59,22 +52,12 @@ class ResidualConfig:
     restart_adam: bool = False
     """Forget Adam's moments whenever new Gaussians are asked for (released: new optimiser for each burst). On: sizes of
     steps are exactly the learning rates at first, and colours learn more slowly."""
-    min_radius_m: float = 0.0005
+    min_radius_m: float = within(0.0005, 0, 10)
     """Gaussians whose largest standard deviation is below this are removed, metres. Larger: no detail close to the
     camera. Released: 0.003."""
-    max_radius_m: float = 0.1
+    max_radius_m: float = within(0.1, 0, 1e6)
     """Gaussians whose largest standard deviation is above this are removed, metres. Smaller: no large blobs, but
     also none that correct a whole wall. Released: 0.1. The default removes none."""
-    min_opacity: float = 0.005
-    """Gaussians with a smaller opacity are removed. Larger: fewer Gaussians. Usual: 0.005 to 0.05."""
-
-    def __post_init__(self):
-        check_kinds("residual", self)
-        for name in ("lr_xyz", "lr_sh_dc", "lr_sh_rest", "lr_log_scale", "lr_quat", "lr_opacity_logit"):
-            check_number(f"residual.{name}", getattr(self, name), 0, 10)
-        check_number("residual.min_radius_m", self.min_radius_m, 0, 10)
-        check_number("residual.max_radius_m", self.max_radius_m, self.min_radius_m, 1e6)
-        check_number("residual.min_opacity", self.min_opacity, 0, 0.5)
 
     @functools.cached_property
     def adam(self) -> OptimConfig:
@@ -84,76 +67,52 @@ class ResidualConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScheduleConfig:
+class ScheduleConfig(Settings, group="schedule"):
     """Which views are optimised, and when."""
 
-    every_frames: int = 10
+    every_frames: int = within(10, 1)
     """Length of a round, frames: in each, views are renewed and steps are taken. Larger: faster, but slower to follow.
     Released: 10. Usual: 5 to 20."""
-    iterations: int = 20
+    iterations: int = within(20, 0)
     """Gradient steps in a round. Larger: better pictures, slower. Released 20, paper 30. Usual: 10 to 60."""
     spread: bool = True
     """On: the steps and the pictures of the TSDF are spread evenly over the frames of a round, so that all frames take
     about the same time. Off: all in the last frame of a round, as released, which then takes twenty times as long."""
-    window: int = 2
-    """How many of the last frames are among the views, window_every frames apart. Larger: less overfitting to one view,
-    slower. Usual: 1 to 4."""
-    window_every: int = 5
+    window_every: int = within(5, 1)
     """Distance between the frames of the window, mapped frames. Usual: 2 to 10."""
-    keyframes: int = 24
+    keyframes: int = within(24, 0)
     """How many keyframes are among the views, at most. Larger: less forgetting, but the pictures of the surface below
     them are older, and each takes 2 MB at 320 x 240. Without any, places that the camera has left become worse than the
     TSDF alone. Released: 7. Usual: 7 to 32."""
-    recalled: int = 4
+    recalled: int = within(4, 0)
     """At how many keyframes the TSDF is looked at in a round, each drawn at random. One that is not among the views
     takes the place of the one that was looked at longest ago. Larger: newer surfaces below the Gaussians, slower.
     Released: 7. Usual: 2 to 8."""
-    recalled_new: int = 2
+    recalled_new: int = within(2, 0)
     """How many of these are instead the newest keyframe that was not looked at yet, if there is one. Larger: places
     that the camera sees now are optimised sooner, old ones are seen again later. Released: 0. Usual: 0 to recalled."""
 
-    def __post_init__(self):
-        check_kinds("schedule", self)
-        for name in ("every_frames", "window", "window_every"):
-            check_number(f"schedule.{name}", getattr(self, name), 1, 10_000)
-        for name in ("iterations", "keyframes", "recalled", "recalled_new"):
-            check_number(f"schedule.{name}", getattr(self, name), 0, 10_000)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ViewsConfig:
+class ViewsConfig(Settings, group="views"):
     """Which frames are kept as keyframes."""
 
-    rotation_deg: float = 30.0
+    rotation_deg: float = within(30.0, 0, 360)
     """A frame becomes a keyframe when the camera has turned by more than this since the last one, degrees. Larger:
     fewer keyframes, less memory, less overlap. Released: 30. Usual: 5 to 30."""
-    translation_m: float = 0.3
+    translation_m: float = within(0.3, 0)
     """Likewise when the camera's centre has moved by more than this, metres. Usual: 0.05 to 0.5."""
-    every_frames: int = 0
+    every_frames: int = within(0, 0)
     """Also keep every n-th mapped frame, from the first on; 0: only those that moved, as released. Smaller: more views
     for the passes after the scan, more memory. Usual: 0, or 2 to 10."""
 
-    def __post_init__(self):
-        check_kinds("views", self)
-        check_number("views.rotation_deg", self.rotation_deg, 0, 360)
-        check_number("views.translation_m", self.translation_m, 0, 1e6)
-        check_number("views.every_frames", self.every_frames, 0, 1_000_000)
-
 
 @dataclass(frozen=True, kw_only=True)
-class PassesConfig:
+class PassesConfig(Settings, group="final"):
     """Optimisation over all keyframes after the scan; the released system has none."""
 
-    passes: int = 20
+    passes: int = within(20, 0)
     """Steps per keyframe. Larger: better pictures, longer wait. Usual: 0 to 40."""
-    ssim_weight: float = 0.0
-    """Weight of the structural loss D-SSIM in these passes, 0 to 1; residual.loss has the rest. Larger:
-    sharper structure, less exact colours. Usual: 0 to 0.2."""
-
-    def __post_init__(self):
-        check_kinds("final", self)
-        check_number("final.passes", self.passes, 0, 10_000)
-        check_number("final.ssim_weight", self.ssim_weight, 0, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,16 +181,7 @@ _FIDELITY: dict[str, list[dict[str, Any]]] = {
 }
 
 
-_AS_HERE = (
-    "frames are fused after their optimisation, colours of voxels are kept as floats, alpha is cut at 0.99 instead of "
-    "0.999, and a Gaussian gets the gradient of every pixel that it is drawn in"
-)
-GPS_SLAM_DIFFERS = {
-    "code": f'GPS-SLAM with the fidelity "code" still differs from the released code: {_AS_HERE} (docs/gps_slam.md)',
-    "paper": 'GPS-SLAM with the fidelity "paper" has no structural loss, whose weight the text does not give, and no '
-    f"depth loss (weight 0.2 there); as in the default, {_AS_HERE} (docs/gps_slam.md)",
-}
-"""What a fidelity names but does not do, said at the start of a run."""
+_PRESETS = Presets(GpsSlamConfig(), _GPS_SLAM, _FIDELITY)
 
 
 def gps_slam(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> GpsSlamConfig:
@@ -242,25 +192,14 @@ def gps_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
         preset: Name of the preset.
         fidelity: Which to follow where they differ: "paper" (as restated by the same group's next paper), "code" (as
             released), or "measured", our defaults. "paper" has neither the structural loss nor the depth loss of that
-            paper; ``GPS_SLAM_DIFFERS`` says what else is not followed, ``docs/gps_slam.md`` lists every difference.
+            paper; ``docs/gps_slam.md`` lists every difference.
         overrides: Fields to change, nested ones with a double underscore: ``gps_slam("room", final__passes=0)``.
 
     Raises:
         KeyError: unknown preset or fidelity. ValueError: unknown field.
     """
-    check_name("preset", preset, _GPS_SLAM)
-    check_name("fidelity", fidelity, _FIDELITY)
-    config = replace(GpsSlamConfig(), **_GPS_SLAM[preset])
-    for layer in _FIDELITY[fidelity]:
-        config = from_dict(GpsSlamConfig, layer, start=config)
-    return replace(config, **overrides)
+    return _PRESETS.make(preset, fidelity, overrides)
 
 
-def gps_slam_fidelity(config: GpsSlamConfig) -> str:
-    """Which fidelity the settings have, and what they set otherwise: "code, but final.passes 5"."""
-    return fidelity_of(config, _settings_by_fidelity())
-
-
-@functools.cache
-def _settings_by_fidelity() -> dict[str, list[GpsSlamConfig]]:
-    return {name: [gps_slam(preset, name) for preset in _GPS_SLAM] for name in _FIDELITY}
+gps_slam_fidelity = _PRESETS.fidelity_of
+"""Which fidelity settings have, and what they set otherwise: "code, but final.passes 5"."""

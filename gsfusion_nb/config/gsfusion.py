@@ -1,32 +1,30 @@
 """Settings of GSFusion and its presets, named after papers and data sets."""
 
-import functools
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
-from ..checks import check_name, check_number
 from .parts import SystemConfig, TsdfConfig
-from .values import check_kinds, fidelity_of, from_dict, replace
+from .values import Presets, Settings, within
 
 
 @dataclass(frozen=True, kw_only=True)
-class OptimConfig:
+class OptimConfig(Settings, group="optim"):
     """Learning rates of Adam, which stay constant, and how many optimisation steps are taken when.
 
     A larger rate learns faster, but the values may oscillate; useful values lie within a factor of ten of the defaults.
     """
 
-    lr_xyz: float = 1.6e-4
+    lr_xyz: float = within(1.6e-4, 0, 10)
     """Learning rate of the centres, metres per step."""
-    lr_sh_dc: float = 2.5e-3
+    lr_sh_dc: float = within(2.5e-3, 0, 10)
     """Learning rate of the base colour (spherical harmonics of degree 0)."""
-    lr_sh_rest: float = 1.25e-4
+    lr_sh_rest: float = within(1.25e-4, 0, 10)
     """Learning rate of the view-dependent colour (degrees 1 to 3)."""
-    lr_log_scale: float = 1e-3
+    lr_log_scale: float = within(1e-3, 0, 10)
     """Learning rate of the logarithm of the sizes: 1e-3 changes a size by about 0.1 % per step."""
-    lr_quat: float = 1e-3
+    lr_quat: float = within(1e-3, 0, 10)
     """Learning rate of the rotations (quaternion components)."""
-    lr_opacity_logit: float = 5e-2
+    lr_opacity_logit: float = within(5e-2, 0, 10)
     """Learning rate of the opacities, before the sigmoid."""
     beta1: ClassVar[float] = 0.9
     """Adam's memory of the gradient, 0 to 1. Larger: smoother, slower to change direction. Usual: 0.8 to 0.95."""
@@ -40,21 +38,21 @@ class OptimConfig:
     Gaussian are 3 to 6 learning rates long; "shared": by the step count of the whole map, as in the released code: all
     steps are shorter during the first 2,000 (0.15 times at step 10, 0.44 at 210), then as with "none"; "per_row": by
     the age of each Gaussian (textbook Adam), so its first step is 1 learning rate."""
-    keyframe_iterations: int = 5
+    keyframe_iterations: int = within(5, 0)
     """m: optimisation steps on a frame that is a keyframe. Larger: better pictures while scanning, slower. Usual: 5 to
     20."""
-    frame_iterations: int = 3
+    frame_iterations: int = within(3, 0)
     """n: optimisation steps on a frame that is not a keyframe. Usual: 1 to 10."""
-    random_keyframe_iterations: int = 2
+    random_keyframe_iterations: int = within(2, 0)
     """Steps on randomly drawn earlier keyframes after each frame that is not a keyframe. Larger: places seen earlier
     stay sharp (less forgetting), slower. Usual: 0 to 10."""
-    global_iterations: int = 10
+    global_iterations: int = within(10, 0)
     """Passes over all keyframes after the scan. Larger: better pictures, longer wait; the gain shrinks. Usual: 0 to
     20."""
-    ssim_weight: float = 0.2
+    ssim_weight: float = within(0.2, 0, 1)
     """Weight of the structural loss D-SSIM in the passes after the scan, 0 to 1; the colour difference L1 has the rest.
     Larger: sharper structure, less exact colours. 0.2 in the released code; 0 is the paper's loss (Eq. 12)."""
-    online_ssim_weight: float = 0.0
+    online_ssim_weight: float = within(0.0, 0, 1)
     """Weight of D-SSIM in the steps while scanning, 0 to 1; L1 has the rest. Larger: as for ssim_weight, and slower
     steps. 0 as published; SplaTAM has 0.2."""
     refine_poses: bool = False
@@ -70,32 +68,19 @@ class OptimConfig:
     """In the passes after the scan, compare each keyframe with the map's picture times three factors, one a colour,
     that are fitted to it, with a mean of 1 over all keyframes. On: the map has the mean brightness and white balance of
     a camera that changes them; without such changes it costs a little sharpness."""
-    depth_weight: float = 0.0
+    depth_weight: float = within(0.0, 0, 1e6)
     """Weight of the mean depth error in metres, over the pixels with measured depth, in all steps. The rendered depth
     is not divided by alpha, so the loss also closes holes. Larger: closer to the measured depth, noise included. 0 as
     published; SplaTAM has 2 in units of its colour loss."""
-    isotropy_weight: float = 0.0
+    isotropy_weight: float = within(0.0, 0, 1e6)
     """Weight of the mean difference, in metres, between a Gaussian's three sizes and their mean, in all steps. Larger:
     rounder Gaussians, fewer long needles. 0 as published; MonoGS has 10."""
-    scale_weight: float = 0.0
+    scale_weight: float = within(0.0, 0, 1e6)
     """Weight of the mean size of the Gaussians in metres, in all steps. Larger: smaller Gaussians. 0 as published;
     3DGS-MCMC has 0.01 in a scene of a few metres."""
-    opacity_weight: float = 0.0
+    opacity_weight: float = within(0.0, 0, 1e6)
     """Weight of the mean opacity of the Gaussians, in all steps. Larger: Gaussians that the pictures do not need
     disappear. 0 as published; 3DGS-MCMC has 0.01."""
-
-    def __post_init__(self):
-        check_kinds("optim", self)
-        for name in ("lr_xyz", "lr_sh_dc", "lr_sh_rest", "lr_log_scale", "lr_quat", "lr_opacity_logit"):
-            check_number(f"optim.{name}", getattr(self, name), 0, 10)
-        counts = ("keyframe_iterations", "frame_iterations", "random_keyframe_iterations", "global_iterations")
-        for name in counts:
-            if getattr(self, name) < 0:
-                raise ValueError(f"optim.{name} must be >= 0, got {getattr(self, name)}")
-        for name in ("ssim_weight", "online_ssim_weight"):
-            check_number(f"optim.{name}", getattr(self, name), 0, 1)
-        for name in ("depth_weight", "isotropy_weight", "scale_weight", "opacity_weight"):
-            check_number(f"optim.{name}", getattr(self, name), 0, 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,20 +89,16 @@ class GSFusionConfig(SystemConfig):
 
     tsdf: TsdfConfig = field(default_factory=TsdfConfig)
     optim: OptimConfig = field(default_factory=OptimConfig)
-    keyframe_min_seeds: int = 50
+    keyframe_min_seeds: int = within(50, 0)
     """A frame that adds more Gaussians than this becomes a keyframe. Larger: fewer keyframes, less memory. Usual: 20 to
     500."""
-    keyframe_every: int = 0
+    keyframe_every: int = within(0, 0)
     """Make every n-th mapped frame a keyframe, from the first on, however many Gaussians it adds; 0: keyframe_min_seeds
     decides, as published. Above 0, all seeding rules get the same number of optimisation steps. Larger: fewer
     keyframes. Usual: 0, or 3 to 10."""
     keep_all_frames: bool = False
     """Keep every frame, not only keyframes, for optimising earlier views and for the passes after the scan (ScanNet++,
     whose views are far apart). On: more memory and a longer optimisation after the scan."""
-
-    def __post_init__(self):
-        super().__post_init__()
-        check_number("keyframe_every", self.keyframe_every, 0)
 
 
 _GSFUSION: dict[str, dict[str, Any]] = {
@@ -158,6 +139,9 @@ _FIDELITY: dict[str, list[dict[str, Any]]] = {
 """Where paper and released code agree, or the paper says nothing, both have the released code's value."""
 
 
+_PRESETS = Presets(GSFusionConfig(), _GSFUSION, _FIDELITY)
+
+
 def gsfusion(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> GSFusionConfig:
     """Settings of GSFusion as published for a data set: "replica", "scannetpp", "tum"; "room" for the built-in scene;
     "azure" is "replica", because none are published for it; "online" is "replica" without the optimisation after the
@@ -173,22 +157,11 @@ def gsfusion(preset: str = "replica", fidelity: str = "measured", **overrides: A
     Raises:
         KeyError: unknown preset or fidelity. ValueError: unknown field.
     """
-    check_name("preset", preset, _GSFUSION)
-    check_name("fidelity", fidelity, _FIDELITY)
-    config = replace(GSFusionConfig(), **_GSFUSION[preset])
-    for layer in _FIDELITY[fidelity]:
-        config = from_dict(GSFusionConfig, layer, start=config)
-    return replace(config, **overrides)
+    return _PRESETS.make(preset, fidelity, overrides)
 
 
-def gsfusion_fidelity(config: GSFusionConfig) -> str:
-    """Which fidelity the settings have, and what they set otherwise: "code, but optim.ssim_weight 0"."""
-    return fidelity_of(config, _settings_by_fidelity())
-
-
-@functools.cache
-def _settings_by_fidelity() -> dict[str, list[GSFusionConfig]]:
-    return {name: [gsfusion(preset, name) for preset in _GSFUSION] for name in _FIDELITY}
+gsfusion_fidelity = _PRESETS.fidelity_of
+"""Which fidelity settings have, and what they set otherwise: "code, but final.passes 5"."""
 
 
 def presets() -> list[str]:

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from ..checks import check_name, check_number, check_positive
 from .tracking import TrackingConfig
-from .values import check_kinds
+from .values import Settings, positive, within
 
 _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))
 NAMED_AXES = {
@@ -23,11 +22,11 @@ AXES = tuple("-".join(words) for kinds in itertools.permutations(_DIRECTIONS) fo
 
 
 @dataclass(frozen=True, kw_only=True)
-class RepairConfig:
+class RepairConfig(Settings, group="repair"):
     """Corrections applied while a recording is read; ``gsfusion-nb check DATA`` finds them. The defaults change
     nothing."""
 
-    depth_factor: float = 1.0
+    depth_factor: float = positive(1.0)
     """Depth is multiplied by this: 0.2 if 5000 units are a metre and 1000 were assumed."""
     depth_kind: Literal["z", "ray"] = "z"
     """Direction in which the stored depth is measured: "z", along the optical axis, or "ray", along the ray of each
@@ -43,49 +42,42 @@ class RepairConfig:
     """Order in which the file stores the 16 numbers of a matrix."""
     nearest_rotation: bool = False
     """Replace rotations that are scaled or not orthogonal by the nearest rotation."""
-    translation_factor: float = 1.0
+    translation_factor: float = positive(1.0)
     """Positions of the poses are multiplied by this: 0.001 if they are in millimetres."""
-    pose_shift_frames: float = 0.0
+    pose_shift_frames: float = within(0.0, -1e4, 1e4)
     """Frame i gets the pose recorded for frame i + this, interpolated between frames if it is not a whole number."""
-    pose_offset_s: float = 0.0
+    pose_offset_s: float = within(0.0, -10, 10)
     """Every picture was taken this much later than its pose, seconds; it gets the pose of its time, interpolated.
     gsfusion-nb offset DATA estimates it. Usual: within 0.03."""
-    rgb_shift_frames: int = 0
+    rgb_shift_frames: int = within(0, -1e4, 1e4)
     """Frame i gets the colour image of frame i + this."""
     fit_sizes: bool = False
     """Resize colour and intrinsics to the size of the depth images where they differ."""
-    fx: float = 0.0
+    fx: float = within(0.0, 0, 1e5)
     """Focal length along x that replaces the recorded one, pixels; 0 keeps it."""
-    fy: float = 0.0
+    fy: float = within(0.0, 0, 1e5)
     """Focal length along y that replaces the recorded one, pixels; 0 keeps it."""
-    cx: float = 0.0
+    cx: float = within(0.0, 0, 1e5)
     """Principal point, x, that replaces the recorded one, from the left edge of the image, pixels; 0 keeps it."""
-    cy: float = 0.0
+    cy: float = within(0.0, 0, 1e5)
     """Principal point, y, that replaces the recorded one, from the upper edge of the image, pixels; 0 keeps it."""
-    pixel_shift: float = 0.0
+    pixel_shift: float = within(0.0, -1e4, 1e4)
     """Added to cx and cy, pixels: 0.5 if the recording counts pixel centres as whole numbers and edges were assumed,
     -0.5 for the opposite."""
     rgb_mirror: Literal["none", "x", "y", "xy"] = "none"
     """Mirror the colour images left-right (x), upside down (y) or both."""
-    rgb_shift_x_px: float = 0.0
+    rgb_shift_x_px: float = within(0.0, -1e4, 1e4)
     """Shift of the colour image relative to the depth image, pixels; positive if its content lies too far right."""
-    rgb_shift_y_px: float = 0.0
+    rgb_shift_y_px: float = within(0.0, -1e4, 1e4)
     """Shift of the colour image relative to the depth image, pixels; positive if its content lies too far down."""
-    rgb_scale: float = 1.0
+    rgb_scale: float = positive(1.0)
     """Scale of the colour image's content relative to the depth image's, about the image centre: 1.02 if things are 2 %
     larger in colour."""
-    skip: tuple[int, ...] = ()
+    skip: tuple[int, ...] = within((), 0)
     """Numbers of the frames to leave out, for example frozen or blurred ones."""
 
     def __post_init__(self):
-        check_kinds("repair", self)
-        for name in ("depth_factor", "translation_factor", "rgb_scale"):
-            check_positive(f"repair.{name}", getattr(self, name))
-        for name in ("fx", "fy", "cx", "cy"):
-            check_number(f"repair.{name}", getattr(self, name), 0, 1e5)
-        for name in ("pixel_shift", "rgb_shift_x_px", "rgb_shift_y_px", "pose_shift_frames", "rgb_shift_frames"):
-            check_number(f"repair.{name}", getattr(self, name), -1e4, 1e4)
-        check_number("repair.pose_offset_s", self.pose_offset_s, -10, 10)
+        super().__post_init__()
         if self.pose_offset_s and self.pose_shift_frames:
             raise ValueError(
                 "set repair.pose_offset_s or repair.pose_shift_frames, not both: each moves the poses in time"
@@ -95,8 +87,6 @@ class RepairConfig:
                 f"repair.axes must be one of {', '.join(NAMED_AXES)} or three words such as right-up-back, "
                 f"got {self.axes!r}"
             )
-        if any(i < 0 for i in self.skip):
-            raise ValueError(f"repair.skip must hold frame numbers >= 0, got {min(self.skip)}")
 
     @property
     def axis_words(self) -> tuple[str, ...]:
@@ -125,21 +115,21 @@ def _values(value: object) -> tuple:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TsdfConfig:
+class TsdfConfig(Settings, group="tsdf"):
     """The volumetric map: a truncated signed distance field (TSDF) in voxels."""
 
-    voxel_size_m: float = 0.01
+    voxel_size_m: float = within(0.01, 0.001, 1)
     """Edge length of a voxel, metres. Larger: less memory and time, coarser surface. Usual in a room: 0.01 to 0.02."""
-    truncation_voxels: float = 8.0
+    truncation_voxels: float = within(8.0, 1, 64)
     """Half width of the band around the surface in which distances are stored, voxels. Larger: bridges noisier depth,
     but thin objects disappear and memory grows. Usual: 4 to 8, and at least about three times the depth noise."""
-    max_weight: float = 100.0
+    max_weight: float = within(100.0, 1)
     """Largest observation count of a voxel (w_max of GSFusion Eq. 8). Larger: smoother, but slower to follow a scene
     that changes. Usual: 20 to 255."""
-    near_m: float = 0.4
+    near_m: float = within(0.4, 0)
     """Nearer depth is ignored, metres. Set it to the least distance that the sensor measures well. Usual: 0.1 to
     0.5."""
-    far_m: float = 6.0
+    far_m: float = within(6.0, 0, 1000)
     """Depth beyond this creates no new voxels, metres. Larger: more of a big scene, with noisier depth and more memory.
     Usual with indoor depth cameras: 3 to 6."""
     sdf: Literal["z", "ray"] = "ray"
@@ -150,7 +140,7 @@ class TsdfConfig:
     where a new one counts a little more than all before together, so the surface follows the last frames and their
     noise; "int16": the mean in whole numbers of 1/32767 truncation distances, rounded towards zero, as the released
     code."""
-    colour_band_voxels: float = 1.5
+    colour_band_voxels: float = within(1.5, 0, 64)
     """A voxel takes its colour from pixels whose surface is within this distance of its centre, voxels; the weight
     falls from 1 at the surface to 0 there. Larger: blurs colours, because voxels in front of and behind a surface see
     other places at an angle; smaller: fewer observations, more noise. 0: from all pixels that observe it, with equal
@@ -163,17 +153,9 @@ class TsdfConfig:
     it off only for depth without noise."""
 
     def __post_init__(self):
-        for name in ("voxel_size_m", "truncation_voxels", "far_m"):
-            check_positive(f"tsdf.{name}", getattr(self, name))
-        check_number("tsdf.max_weight", self.max_weight, 1)
-        check_number("tsdf.voxel_size_m", self.voxel_size_m, 0.001, 1.0)
-        check_number("tsdf.truncation_voxels", self.truncation_voxels, 1, 64)
-        check_number("tsdf.colour_band_voxels", self.colour_band_voxels, 0, 64)
-        check_number("tsdf.far_m", self.far_m, 0, 1000)
-        check_number("tsdf.near_m", self.near_m)
-        check_kinds("tsdf", self)
-        if not 0 <= self.near_m < self.far_m:
-            raise ValueError(f"tsdf.near_m must be >= 0 and below far_m, got near {self.near_m} and far {self.far_m}")
+        super().__post_init__()
+        if self.near_m >= self.far_m:
+            raise ValueError(f"tsdf.near_m must be below far_m, got near {self.near_m} and far {self.far_m}")
 
     @property
     def weighs_colours(self) -> bool:
@@ -187,16 +169,16 @@ class TsdfConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeedingConfig:
+class SeedingConfig(Settings, group="seeding"):
     """Where new Gaussians are created."""
 
     rule: str = "gsfusion"
     """Name of a registered seeding rule: gsfusion, rtg_slam, splatam, monogs, uniform, another one of those listed in
     docs/seeding_rules.md, or your own; or a rule in a file: FILE.py:name."""
-    quadtree_threshold: float = 0.1
+    quadtree_threshold: float = positive(0.1)
     """A quadtree cell with a contrast above this is split into four. Smaller: more, smaller Gaussians and finer detail,
     but more time and memory. With "released" contrast 0.01 (fine) to 0.2 (coarse); with "std" about 0.01 to 0.05."""
-    quadtree_min_cell_px: int = 1
+    quadtree_min_cell_px: int = within(1, 1)
     """A cell is split only if half its width and half its height are larger than this, pixels. Larger: no small cells,
     so fewer Gaussians. Usual: 1 to 8."""
     quadtree_contrast: Literal["released", "std"] = "released"
@@ -211,7 +193,7 @@ class SeedingConfig:
     """What the rule gsfusion does with quadtree cells whose middle has no depth: "skip", as published: they get no
     Gaussian; "sides": where the map shows nothing yet, they get one at the depth of the measured pixels to their left,
     right, above and below. For windows, gloss and sensors with holes; without holes both are the same."""
-    source_stride: int = 0
+    source_stride: int = within(0, 0)
     """Frames of a recording at 30 Hz from one mapped frame to the next: rules that are asked every n frames
     (``seeding.every``), and a rule's own interval of keyframes, count these. 0: data.stride. Set it for a recording
     that was thinned before. Larger: such rules are asked in more of the mapped frames."""
@@ -223,45 +205,41 @@ class SeedingConfig:
     themselves."""
 
     def __post_init__(self):
-        check_kinds("seeding", self)
+        super().__post_init__()
         if any(isinstance(value, Path) for value in self.options.values()):
             plain = {name: str(value) if isinstance(value, Path) else value for name, value in self.options.items()}
             object.__setattr__(self, "options", plain)
         if not all(isinstance(name, str) for name in self.own_settings):
             raise ValueError(f"seeding.own_settings must hold names of settings, got {self.own_settings}")
-        check_number("seeding.source_stride", self.source_stride, 0)
-        check_positive("seeding.quadtree_threshold", self.quadtree_threshold)
-        if self.quadtree_min_cell_px < 1:
-            raise ValueError(f"seeding.quadtree_min_cell_px must be >= 1, got {self.quadtree_min_cell_px}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class DataConfig:
+class DataConfig(Settings, group="data"):
     """Which frames are read from a sequence, and how."""
 
-    width: int = 0
+    width: int = within(0, 0, 16384)
     """Resize colour and depth to this width, pixels; 0 keeps the original width, or follows from height. Smaller:
     faster and less detail. Usual: 320 to 1280."""
-    height: int = 0
+    height: int = within(0, 0, 16384)
     """Resize to this height, pixels; 0 keeps the original height, or follows from width."""
-    start: int = 0
+    start: int = within(0, 0)
     """Number of the first frame that is read, counted from 0."""
-    stop: int = 0
+    stop: int = within(0, 0)
     """Stop before this frame; 0 reads to the end."""
-    stride: int = 1
+    stride: int = within(1, 1)
     """Read every n-th frame. Larger: faster, but less overlap between frames; tracking needs small steps. Usual: 1 to
     10."""
-    depth_min_m: float = 0.0
+    depth_min_m: float = within(0.0, 0, 1000)
     """Nearer depth counts as missing, metres; 0 keeps all."""
-    depth_max_m: float = 0.0
+    depth_max_m: float = within(0.0, 0, 1000)
     """Farther depth counts as missing, metres; 0 means no limit. Set it where the sensor becomes unreliable. Usual with
     a depth camera: 3 to 8."""
-    hold_out_every: int = 8
+    hold_out_every: int = within(8, 0)
     """Every k-th frame is never mapped; the map is scored on these unseen views. Smaller: more views for the score,
     fewer for the map. 0 maps all frames; 8 is usual."""
-    hold_out_offset: int = 4
+    hold_out_offset: int = within(4, 0)
     """Which of each k frames is held out: 0 to k - 1."""
-    scored_views: int = 250
+    scored_views: int = within(250, 0)
     """At most this many mapped views are scored, evenly spread; all held-out views are. 0 scores every mapped view, as
     the papers do; larger: more exact means, longer scoring. Usual: 100 to 500."""
     align_held_out: bool = False
@@ -272,30 +250,21 @@ class DataConfig:
     """Corrections of a recording that differs from what its layout says."""
 
     def __post_init__(self):
-        check_kinds("data", self)
-        for name in ("start", "stop", "hold_out_every", "hold_out_offset", "scored_views"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"data.{name} must be >= 0, got {getattr(self, name)}")
-        for name in ("width", "height"):
-            check_number(f"data.{name}", getattr(self, name), 0, 16384)
-        for name in ("depth_min_m", "depth_max_m"):
-            check_number(f"data.{name}", getattr(self, name), 0, 1000)
+        super().__post_init__()
         if self.depth_max_m and self.depth_max_m <= self.depth_min_m:
             raise ValueError(f"data.depth_max_m must be above depth_min_m {self.depth_min_m}, got {self.depth_max_m}")
-        if self.stride < 1:
-            raise ValueError(f"data.stride must be >= 1, got {self.stride}")
         if self.hold_out_every == 1:
             raise ValueError("data.hold_out_every=1 would hold out every frame; use 0 for none or 2 and more")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SystemConfig:
+class SystemConfig(Settings):
     """What the settings of any system hold; each system adds its own."""
 
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     data: DataConfig = field(default_factory=DataConfig)
-    sh_degree: int = 3
+    sh_degree: int = within(3, 0, 3)
     """Degree of the spherical harmonics that store a Gaussian's colour, 0 to 3. 0: one colour from all sides, least
     memory and time. 3: colour may change with the viewing direction (gloss, reflections)."""
     keyframes_on: Literal["device", "cpu"] = "device"
@@ -307,9 +276,3 @@ class SystemConfig:
     def source_stride(self) -> int:
         """Frames of the recording from one mapped frame to the next."""
         return self.seeding.source_stride or self.data.stride
-
-    def __post_init__(self):
-        if self.sh_degree not in (0, 1, 2, 3):
-            raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
-        check_name("keyframes_on", self.keyframes_on, ("device", "cpu"))
-        check_kinds("", self)

@@ -3,29 +3,26 @@
 Where the paper and the released code differ, the field says what each does; ``rtg_slam(fidelity=...)`` sets them all.
 """
 
-import functools
 import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from ..checks import check_name, check_number, check_positive
-from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE, OPAQUE_ALPHA
-from .parts import DataConfig, SeedingConfig, SystemConfig, TsdfConfig
-from .values import check_kinds, fidelity_of, from_dict, replace
+from .parts import DataConfig, SeedingConfig, SystemConfig
+from .values import Presets, Settings, positive, within
 
 
 @dataclass(frozen=True, kw_only=True)
-class DiscConfig:
+class DiscConfig(Settings, group="discs"):
     """When a ray hits a disc, and at which depth (Eq. 4-5)."""
 
-    opaque_alpha: float = OPAQUE_ALPHA
+    opaque_alpha: float = within(math.exp(-0.5), 0.01, 0.99)
     """delta_alpha: a ray hits a disc where the disc's alpha is at least this. Smaller: larger discs, fewer holes, less
     exact edges. Paper exp(-0.5) = 0.61, code 0.6, measured best 0.3. Usual: 0.2 to 0.8."""
-    max_offset: float | None = DISC_MAX_OFFSET
+    max_offset: float | None = positive(1.0)
     """Largest distance along z between the hit and the disc's centre, in units of the disc's largest standard
     deviation; beyond it the depth of the centre is used. Larger: more exact depth on tilted discs, but more outliers.
     Code 1; paper: no limit (None). Usual: 1 to 5."""
-    min_cosine: float = DISC_MIN_COSINE
+    min_cosine: float = within(0.5, 0, 1)
     """Smallest cosine of the angle between ray and disc normal at which the two are intersected; a disc seen at a
     flatter angle gets the depth of its centre. Smaller: intersects at flatter angles, more exact but more sensitive to
     errors of the normal. Paper 0.5 (60 degrees). Usual: 0.1 to 0.7."""
@@ -33,173 +30,105 @@ class DiscConfig:
     """"disc": depth where the ray meets the first disc (RTG-SLAM); "blended": weighted mean of the depths of all
     Gaussians on the ray, sum of w_k z_k / alpha, as in other splatting systems (the comparison of Fig. 7)."""
 
-    def __post_init__(self):
-        check_kinds("discs", self)
-        check_number("discs.opaque_alpha", self.opaque_alpha, 0.01, 0.99)
-        check_number("discs.min_cosine", self.min_cosine, 0, 1)
-        if self.max_offset is not None:
-            check_positive("discs.max_offset", self.max_offset)
-
 
 @dataclass(frozen=True, kw_only=True)
-class WindowConfig:
+class WindowConfig(Settings, group="window"):
     """Optimisation over the last frames (Eq. 7-9)."""
 
-    every_frames: int = 6
+    every_frames: int = within(6, 1)
     """Optimise once in this many frames. Larger: faster, but new areas stay rough for longer. Usual: 3 to 8."""
-    frames: int = 5
+    frames: int = within(5, 1)
     """How many of the last frames the optimisation uses. Larger: less overfitting to one view, more memory. Usual: 1 to
     8."""
-    iterations: int = 50
+    iterations: int = within(50, 0)
     """Steps per optimisation of the window. Larger: better pictures, slower. Usual: 20 to 100."""
-    lr_xyz: float = 1e-3
-    """Learning rate of the centres, metres per step. Useful learning rates, here and below, lie within a factor of ten
-    of the defaults; a larger one learns faster, but the values may oscillate."""
-    lr_sh_dc: float = 5e-4
+    lr_sh_dc: float = within(5e-4, 0, 10)
     """Learning rate of the base colour (spherical harmonics of degree 0)."""
-    lr_sh_rest: float = 2.5e-5
+    lr_sh_rest: float = within(2.5e-5, 0, 10)
     """Learning rate of the view-dependent colour (degrees 1 to 3)."""
-    lr_log_scale: float = 4e-3
+    lr_log_scale: float = within(4e-3, 0, 10)
     """Learning rate of the logarithm of the sizes: 4e-3 changes a size by about 0.4 % per step."""
-    lr_quat: float = 1e-3
-    """Learning rate of the rotations (quaternion components)."""
-    weight_colour: float = 1.0
+    weight_colour: float = within(1.0, 0, 1e6)
     """w_c of Eq. 8: weight of the colour error (code 0.8). Larger: better pictures at the cost of depth. Usual: 0.5 to
     2."""
-    weight_depth: float = 1.0
-    """w_d of Eq. 8: weight of the depth error in metres. Larger: closer to the measured depth, noise included. Usual: 0
-    to 5."""
-    weight_regulariser: float = 1000.0
-    """w_reg of Eq. 8: keeps centre, rotation and scale of transparent Gaussians near their anchor values. Larger: only
-    their colour changes; 0: they move freely."""
     anchor: Literal["birth", "window"] = "birth"
     """The anchor values of transparent Gaussians: "birth", those they were created with (paper), or "window", those at
     the start of this optimisation (code), so that they can drift from window to window."""
     draw: Literal["random", "newest_half"] = "random"
     """Which frame of the window a step uses. "random": any (paper); "newest_half": any in the first half of the steps,
     the newest frame in the second half (code), which favours the present view."""
-    depth_behind_m: float | None = 0.1
+    depth_behind_m: float | None = positive(0.1)
     """Pixels whose rendered depth lies farther than this behind the measurement have no depth loss, metres (code;
     paper: no limit, None). Smaller: fewer pixels count. Usual: 0.05 to 0.5."""
-    history_max_weight: float = 1.0
+    history_max_weight: float = within(1.0, 0, 1)
     """Largest weight of a Gaussian's values from before the optimisation when the old and the new values are averaged
     (Eq. 9), 0 to 1. Larger: well observed Gaussians change less; 0: only the new values count. Paper 1, code 0.5."""
     only_unstable: bool = True
     """Optimise only unstable Gaussians, on the pixels that they touch. Off: all Gaussians on all pixels, slower (the
     comparison in the paper)."""
 
-    def __post_init__(self):
-        check_kinds("window", self)
-        for name in ("every_frames", "frames"):
-            check_number(f"window.{name}", getattr(self, name), 1, 10_000)
-        check_number("window.iterations", self.iterations, 0, 100_000)
-        for name in ("lr_xyz", "lr_sh_dc", "lr_sh_rest", "lr_log_scale", "lr_quat"):
-            check_number(f"window.{name}", getattr(self, name), 0, 10)
-        for name in ("weight_colour", "weight_depth", "weight_regulariser"):
-            check_number(f"window.{name}", getattr(self, name), 0, 1e6)
-        check_number("window.history_max_weight", self.history_max_weight, 0, 1)
-        if self.depth_behind_m is not None:
-            check_positive("window.depth_behind_m", self.depth_behind_m)
-
 
 @dataclass(frozen=True, kw_only=True)
-class StateConfig:
+class StateConfig(Settings, group="states"):
     """When a Gaussian becomes stable (no longer optimised), unstable again, or is deleted (section 3.2, "State
     management")."""
 
-    stable_confidence: float = 100.0
+    stable_confidence: float = positive(100.0)
     """delta_eta: a Gaussian that was optimised in more steps than this becomes stable. Larger: better fitted before it
     is fixed, but slower. Code 100 on Replica, which is better with clean depth; 300 is better with noisy depth. Usual:
     100 to 400."""
-    unstable_frames: int = 120
+    unstable_frames: int = within(120, 1)
     """delta_t: a Gaussian that is still unstable after this many frames is deleted. Larger: rarely seen places survive,
     and so do floaters. Usual: 100 to 400."""
     age: Literal["all", "in_view"] = "all"
     """Which frames count for unstable_frames: "all" since the Gaussian was created (paper, code), or "in_view", those
     with its centre in the picture. With "in_view" places that the camera passes quickly are not deleted later."""
-    error_count: int = 10
+    error_count: int = within(10, 1)
     """delta_e: a stable Gaussian that is wrong in more frames than this is no longer stable (code: in 10 or more).
     Larger: slower to repair mistakes, less disturbed by noise. Usual: 5 to 20."""
-    colour_error: float = 0.1
+    colour_error: float = positive(0.1)
     """delta_c: a pixel's colour is wrong if it differs by more than this, the mean absolute difference over R, G, B in
     0..1. Larger: tolerates changes of exposure. Usual: 0.05 to 0.2."""
-    depth_error_m: float = 0.1
+    depth_error_m: float = positive(0.1)
     """delta_d: a pixel's depth is wrong if it differs by more than this, metres. Larger: tolerates noisier depth.
     Usual: 0.05 to 0.2."""
-    depth_error_sides: Literal["both", "in_front"] = "both"
-    """Which depth errors count: "both" signs (paper), or "in_front", only where the model is in front of the
-    measurement (code)."""
     on_error: Literal["release", "delete"] = "release"
     """What happens to a stable Gaussian that is wrong too often. "release": it becomes unstable again (paper);
-    "delete": it is deleted if its depth is wrong and left as it is if only its colour is (code)."""
-    max_radius_factor: float | None = 10.0
+    "delete": it is deleted if its depth is wrong, where the model is in front of the measurement, and left as it is if
+    only its colour is (code)."""
+    max_radius_factor: float | None = within(10.0, 1)
     """Gaussians with a radius above this many times the mean radius are deleted (code 10; paper: none are, None).
     Smaller: fewer blurred blobs, but also fewer large plain areas. Usual: 5 to 20."""
 
-    def __post_init__(self):
-        check_kinds("states", self)
-        check_positive("states.stable_confidence", self.stable_confidence)
-        for name in ("unstable_frames", "error_count"):
-            check_number(f"states.{name}", getattr(self, name), 1, 1_000_000)
-        check_positive("states.colour_error", self.colour_error)
-        check_positive("states.depth_error_m", self.depth_error_m)
-        if self.max_radius_factor is not None:
-            check_number("states.max_radius_factor", self.max_radius_factor, 1, math.inf)
-
 
 @dataclass(frozen=True, kw_only=True)
-class KeyframeConfig:
+class KeyframeConfig(Settings, group="keyframes"):
     """When a frame becomes a keyframe, and the optimisation over earlier keyframes that each new one starts (section
     3.2, "Keyframes and global optimization")."""
 
-    rotation_deg: float = 30.0
-    """A frame becomes a keyframe when the camera has turned by this since the last one, degrees. Larger: fewer
-    keyframes, less memory, less overlap. Usual: 15 to 45."""
-    translation_m: float = 0.3
-    """Likewise when the camera's centre has moved by this, metres. Usual: 0.1 to 1."""
-    latest: int = 1
+    latest: int = within(1, 0)
     """How many of the latest keyframes take part in the optimisation (paper 1, code 3)."""
-    random: int = 3
+    random: int = within(3, 0)
     """How many randomly drawn earlier keyframes take part (paper 3, code 0). Larger: less forgetting. Usual: 0 to 8."""
-    iterations: int = 50
+    iterations: int = within(50, 0)
     """Steps of the optimisation at each keyframe. Larger: earlier views improve more, slower. Usual: 0 to 100."""
-    pixel_share: float = 0.4
-    """Share of the pixels that have a loss, those with the largest colour errors, above 0 to 1. Smaller: concentrates
-    on mistakes. Usual: 0.2 to 1."""
-    lr_factor: float = 0.1
-    """Learning rates of this optimisation as a multiple of the window's; centres do not move. Usual: 0.05 to 1."""
     rows: Literal["all", "stable"] = "all"
     """Which Gaussians are drawn and optimised: "all" (paper) or only the "stable" ones (code)."""
     instead_of_window: bool = False
     """On: at a keyframe this optimisation replaces that of the window (code, except on ScanNet++)."""
 
-    def __post_init__(self):
-        check_kinds("keyframes", self)
-        check_positive("keyframes.rotation_deg", self.rotation_deg)
-        check_positive("keyframes.translation_m", self.translation_m)
-        for name in ("latest", "random", "iterations"):
-            check_number(f"keyframes.{name}", getattr(self, name), 0, 100_000)
-        check_number("keyframes.pixel_share", self.pixel_share, 0.001, 1)
-        check_number("keyframes.lr_factor", self.lr_factor, 0, 100)
-
 
 @dataclass(frozen=True, kw_only=True)
-class FinalConfig:
+class FinalConfig(Settings, group="final"):
     """Optimisation over all keyframes after the scan."""
 
-    passes: int = 10
+    passes: int = within(10, 0)
     """Steps per keyframe (paper 10; code 20 on Replica). Larger: better pictures, longer wait. Usual: 0 to 20."""
-    lr_factor: float = 1.0
+    lr_factor: float = within(1.0, 0, 100)
     """Learning rates as a multiple of the window's (code 4 on Replica, 1 elsewhere); centres do not move. Usual: 0.1 to
     4."""
-    weight_depth: float = 1.0
+    weight_depth: float = within(1.0, 0, 1e6)
     """Weight of the depth error in metres (code 0). 0: best pictures; larger: the depth is kept. Usual: 0 to 5."""
-
-    def __post_init__(self):
-        check_kinds("final", self)
-        check_number("final.passes", self.passes, 0, 10_000)
-        check_number("final.lr_factor", self.lr_factor, 0, 100)
-        check_number("final.weight_depth", self.weight_depth, 0, 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,8 +141,9 @@ class RtgSlamConfig(SystemConfig):
     states: StateConfig = field(default_factory=StateConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     final: FinalConfig = field(default_factory=FinalConfig)
-    mesh: TsdfConfig = field(default_factory=lambda: TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, near_m=0.2))
-    """The volume into which the rendered depth is fused when a mesh is needed."""
+    mesh_voxel_m: float = within(0.02, 0.001, 1)
+    """Edge length of a voxel of the volume into which the rendered depth is fused when a mesh is needed, metres.
+    Larger: coarser meshes in less time and memory. Usual: 0.01 to 0.05."""
     data: DataConfig = field(default_factory=lambda: DataConfig(depth_min_m=0.3, depth_max_m=5.0))
 
 
@@ -238,45 +168,48 @@ _RTG_SLAM: dict[str, dict[str, Any]] = {
     "online": {"final": {"passes": 0}},
 }
 
-_FIDELITY: dict[str, dict[str, Any]] = {
-    "measured": {
-        "seeding": {"options": {"share": 0.1}},
-        "discs": {"opaque_alpha": 0.3, "min_cosine": 0.17, "max_offset": 3.0},
-        "window": {"lr_sh_dc": 5e-3, "lr_sh_rest": 2.5e-4, "lr_log_scale": 0.02, "draw": "newest_half"},
-        "states": {"stable_confidence": 300.0, "age": "in_view"},
-        "tracking": {"target": "hybrid", "landmarks": {"enabled": True}},
-    },
-    "paper": {
-        "seeding": {"options": {"fidelity": "paper"}},
-        "discs": {"max_offset": None},
-        "window": {"depth_behind_m": None},
-        "states": {"max_radius_factor": None},
-        "tracking": {"even_to_m": None, "brightness_m": None},
-    },
-    "code": {
-        "seeding": {"options": {"fidelity": "code"}},
-        "discs": {"opaque_alpha": 0.6},
-        "window": {"weight_colour": 0.8, "anchor": "window", "draw": "newest_half", "history_max_weight": 0.5},
-        "states": {
-            "colour_error": 0.2 / 3,
-            "depth_error_m": 0.2,
-            "depth_error_sides": "in_front",
-            "on_error": "delete",
-            "error_count": 9,
-        },
-        "keyframes": {"latest": 3, "random": 0, "rows": "stable", "instead_of_window": True},
-        "final": {"weight_depth": 0.0},
-        "tracking": {
-            "pyramid": (4, 2, 1),
-            "max_angle_deg": 20.0,
-            "even_to_m": None,
-            "brightness_m": None,
-            "damping": 1e-4,
-            "prior": "previous",
-            "target": "hybrid",
-            "min_overlap_inliers": 0.25,
-        },
-    },
+_FIDELITY: dict[str, list[dict[str, Any]]] = {
+    "measured": [
+        {
+            "seeding": {"options": {"share": 0.1}},
+            "discs": {"opaque_alpha": 0.3, "min_cosine": 0.17, "max_offset": 3.0},
+            "window": {"lr_sh_dc": 5e-3, "lr_sh_rest": 2.5e-4, "lr_log_scale": 0.02, "draw": "newest_half"},
+            "states": {"stable_confidence": 300.0, "age": "in_view"},
+            "tracking": {"target": "hybrid", "landmarks": True},
+        }
+    ],
+    "paper": [
+        {
+            "seeding": {"options": {"fidelity": "paper"}},
+            "discs": {"max_offset": None},
+            "window": {"depth_behind_m": None},
+            "states": {"max_radius_factor": None},
+            "tracking": {"even_to_m": None, "brightness_m": None},
+        }
+    ],
+    "code": [
+        {
+            "seeding": {"options": {"fidelity": "code"}},
+            "discs": {"opaque_alpha": 0.6},
+            "window": {"weight_colour": 0.8, "anchor": "window", "draw": "newest_half", "history_max_weight": 0.5},
+            "states": {
+                "colour_error": 0.2 / 3,
+                "depth_error_m": 0.2,
+                "on_error": "delete",
+                "error_count": 9,
+            },
+            "keyframes": {"latest": 3, "random": 0, "rows": "stable", "instead_of_window": True},
+            "final": {"weight_depth": 0.0},
+            "tracking": {
+                "pyramid": (4, 2, 1),
+                "max_angle_deg": 20.0,
+                "even_to_m": None,
+                "brightness_m": None,
+                "prior": "previous",
+                "target": "hybrid",
+            },
+        }
+    ],
 }
 
 _CODE_ON: dict[str, dict[str, Any]] = {
@@ -287,6 +220,9 @@ _CODE_ON: dict[str, dict[str, Any]] = {
         "keyframes": {"instead_of_window": False},
     },
 }
+
+
+_PRESETS = Presets(RtgSlamConfig(), _RTG_SLAM, _FIDELITY, _CODE_ON)
 
 
 def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> RtgSlamConfig:
@@ -302,20 +238,8 @@ def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
     Raises:
         KeyError: unknown preset or fidelity. ValueError: unknown field.
     """
-    check_name("preset", preset, _RTG_SLAM)
-    check_name("fidelity", fidelity, _FIDELITY)
-    config = replace(RtgSlamConfig(), **_RTG_SLAM[preset])
-    layers = [_FIDELITY[fidelity], _CODE_ON.get(preset, {}) if fidelity == "code" else {}]
-    for layer in layers:
-        config = from_dict(RtgSlamConfig, layer, start=config)
-    return replace(config, **overrides)
+    return _PRESETS.make(preset, fidelity, overrides)
 
 
-def rtg_slam_fidelity(config: RtgSlamConfig) -> str:
-    """Which fidelity the settings have, and what they set otherwise: "code, but final.weight_depth 1.0"."""
-    return fidelity_of(config, _settings_by_fidelity())
-
-
-@functools.cache
-def _settings_by_fidelity() -> dict[str, list[RtgSlamConfig]]:
-    return {name: [rtg_slam(preset, name) for preset in _RTG_SLAM] for name in _FIDELITY}
+rtg_slam_fidelity = _PRESETS.fidelity_of
+"""Which fidelity settings have, and what they set otherwise: "code, but final.passes 5"."""

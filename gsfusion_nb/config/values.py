@@ -1,20 +1,18 @@
 """Changing, saving, comparing and explaining settings: frozen dataclasses of plain values or of such dataclasses."""
 
 import ast
-import contextlib
 import dataclasses
 import functools
 import inspect
 import itertools
-import shutil
-import sys
+import math
 import textwrap
 import typing
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import field, is_dataclass
-from typing import Annotated, Any, TextIO, TypeVar, cast, get_args, get_origin
+from dataclasses import dataclass, field, is_dataclass
+from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
-from ..errors import shown
+from ..checks import check_name, check_number, check_positive, shown
 
 C = TypeVar("C")
 
@@ -70,8 +68,31 @@ def to_dict(config: Any) -> dict[str, Any]:
     return dataclasses.asdict(config)
 
 
+def within(default: Any, low: float | int, high: float | int = math.inf) -> Any:
+    """A field of settings whose numbers lie between ``low`` and ``high``, both allowed."""
+    return field(default=default, metadata={"range": (low, high)})
+
+
+def positive(default: Any) -> Any:
+    """A field of settings whose number is above 0."""
+    return field(default=default, metadata={"positive": True})
+
+
+class Settings:
+    """A group of settings. Values outside of the ranges that its fields declare are refused when it is made."""
+
+    group: ClassVar[str] = ""
+
+    def __init_subclass__(cls, group: str = ""):
+        cls.group = group
+
+    def __post_init__(self):
+        check_kinds(self.group, self)
+
+
 def check_kinds(group: str, config: Any) -> None:
-    """Raise ``ValueError`` unless words are among those a field lists, whole numbers whole, switches booleans."""
+    """Raise ``ValueError`` unless words are among those a field lists, whole numbers whole, switches booleans, and
+    numbers in their range."""
     for f in dataclasses.fields(config):
         name, value = f"{group}.{f.name}".removeprefix("."), getattr(config, f.name)
         words = typing.get_args(f.type) if typing.get_origin(f.type) is typing.Literal else ()
@@ -87,6 +108,11 @@ def check_kinds(group: str, config: Any) -> None:
             raise ValueError(f"{name} must be a group of settings, got {shown(value)}")
         if typing.get_origin(f.type) is dict and not isinstance(value, dict):
             raise ValueError(f"{name} must hold values by name, got {shown(value)}")
+        for number in () if value is None else value if isinstance(value, tuple) else (value,):
+            if "range" in f.metadata:
+                check_number(name, number, *f.metadata["range"])
+            elif "positive" in f.metadata:
+                check_positive(name, number)
 
 
 def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
@@ -105,30 +131,57 @@ def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
     return dataclasses.replace(config, **changed)
 
 
-def fidelity_of(config: Any, variants: Mapping[str, Sequence[Any]]) -> str:
-    """The variant that ``config`` follows, with its exceptions: "paper", or "code, but optim.ssim_weight 0.0".
+@dataclass(frozen=True)
+class Presets:
+    """Settings of a system: those published for each data set, and what each fidelity changes."""
 
-    Only the settings in which the variants differ count. Of equally close variants it is the first.
+    start: Any
+    """The default settings."""
+    of_data: Mapping[str, dict[str, Any]]
+    """Preset -> the user's part: a seeding rule does not change it."""
+    fidelities: Mapping[str, Sequence[dict[str, Any]]]
+    """Fidelity -> layers of settings, the later ones over the earlier."""
+    of_code: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+    """Preset -> a last layer of the fidelity "code"."""
 
-    Args:
-        config: Settings of a system.
-        variants: Name -> settings of the same system for each data set, in the same order for every name.
-    """
-    values = {name: [leaves(to_dict(c)) for c in configs] for name, configs in variants.items()}
-    deciding = {
-        key
-        for same_data in zip(*values.values(), strict=True)
-        for key in same_data[0]
-        if any(v[key] != same_data[0][key] for v in same_data)
-    }
-    mine = {key: value for key, value in sorted(leaves(to_dict(config)).items()) if key in deciding}
-    exceptions = [
-        (name, [f"{key} {value}" for key, value in mine.items() if value != v[key]])
-        for name, variant in values.items()
-        for v in variant
-    ]
-    closest, others = min(exceptions, key=lambda found: len(found[1]))
-    return f"{closest}, but {', '.join(others)}" if others else closest
+    def make(self, preset: str, fidelity: str, overrides: dict[str, Any]) -> Any:
+        """The settings of a preset and a fidelity, with fields changed as for ``replace``.
+
+        Raises:
+            KeyError: unknown preset or fidelity. ValueError: unknown field.
+        """
+        check_name("preset", preset, self.of_data)
+        check_name("fidelity", fidelity, self.fidelities)
+        config = replace(self.start, **self.of_data[preset])
+        last = self.of_code.get(preset, {}) if fidelity == "code" else {}
+        for layer in (*self.fidelities[fidelity], last):
+            config = _merge(config, layer, "")
+        return replace(config, **overrides)
+
+    @functools.cached_property
+    def _values(self) -> dict[str, list[dict[str, Any]]]:
+        """Fidelity -> values by dotted name for each preset."""
+        return {f: [leaves(to_dict(self.make(p, f, {}))) for p in self.of_data] for f in self.fidelities}
+
+    def fidelity_of(self, config: Any) -> str:
+        """The fidelity that ``config`` follows, with its exceptions: "paper", or "code, but optim.ssim_weight 0.0".
+
+        Only the settings in which the fidelities differ count. Of equally close ones it is the first.
+        """
+        deciding = {
+            key
+            for same_data in zip(*self._values.values(), strict=True)
+            for key in same_data[0]
+            if any(v[key] != same_data[0][key] for v in same_data)
+        }
+        mine = {key: value for key, value in sorted(leaves(to_dict(config)).items()) if key in deciding}
+        exceptions = [
+            (name, [f"{key} {value}" for key, value in mine.items() if value != v[key]])
+            for name, variants in self._values.items()
+            for v in variants
+        ]
+        closest, others = min(exceptions, key=lambda found: len(found[1]))
+        return f"{closest}, but {', '.join(others)}" if others else closest
 
 
 def leaves(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
@@ -150,7 +203,7 @@ EVERYDAY = (
     "data.width", "data.stop", "data.stride", "data.depth_max_m", "data.hold_out_every",
     "tsdf.voxel_size_m", "tsdf.far_m",
     "seeding.rule", "seeding.quadtree_threshold",
-    "tracking.poses", "tracking.back_end.enabled",
+    "tracking.poses", "tracking.back_end",
     "optim.global_iterations", "optim.refine_poses", "optim.fit_exposure", "final.passes",
 )  # fmt: skip
 """The options that people change, by dotted name, of all systems. ``--help`` of a command with settings shows only
@@ -158,7 +211,7 @@ these, ``--help-all`` every one."""
 
 
 def parse_options(options: type[T], *, prog: str, arguments: list[str], everyday: Collection[str] = ()) -> T:
-    """``tyro.cli`` with help texts wrapped to the width of the terminal.
+    """``tyro.cli`` with the texts under the fields as help.
 
     Args:
         options: Dataclass of the options; the text under a field is its help.
@@ -174,8 +227,7 @@ def parse_options(options: type[T], *, prog: str, arguments: list[str], everyday
     elif everyday and {"-h", "--help"} & set(arguments):
         options = _only(everyday, options)
         options.__doc__ = f"{(options.__doc__ or '').strip()} --help-all shows every option."
-    with contextlib.redirect_stdout(cast(TextIO, _Wrapped(sys.stdout))):
-        return tyro.cli(options, prog=prog, args=arguments)
+    return tyro.cli(options, prog=prog, args=arguments)
 
 
 def _only(names: Collection[str], options: type[T], default: Any = None, path: str = "") -> type[T]:
@@ -197,23 +249,6 @@ def _only(names: Collection[str], options: type[T], default: Any = None, path: s
     reduced: Any = dataclasses.make_dataclass(options.__name__, fields, kw_only=True)
     reduced.__doc__ = options.__doc__
     return reduced
-
-
-class _Wrapped:
-    """A stream that wraps long lines of plain text: tyro prints the description of a command as one line."""
-
-    def __init__(self, stream: Any):
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        width = shutil.get_terminal_size().columns
-        lines = text.split("\n")
-        plain = [line[:1].isalpha() and len(line) > width for line in lines]  # tables begin with a frame or a colour
-        wrapped = [textwrap.fill(line, width) if p else line for line, p in zip(lines, plain, strict=True)]
-        return self._stream.write("\n".join(wrapped))
 
 
 def _explain(options: type) -> None:

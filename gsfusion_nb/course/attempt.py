@@ -1,9 +1,7 @@
 """A learner's function under test, the statements that a judge makes about what it returns, and the verdict."""
 
-import contextlib
 import functools
-from collections.abc import Callable, Iterator, Sequence
-from contextvars import ContextVar
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,29 +13,6 @@ from ..drawing.page import fill
 from ..types import Camera
 from .learner_code import CodeInUse, Guard, argument_copy, line_of_error, plain_value
 from .learner_code import Failed as Failed
-
-_seen: ContextVar[list[str] | None] = ContextVar("_seen", default=None)
-
-
-@contextlib.contextmanager
-def watching_properties() -> Iterator[list[str]]:
-    """Inside the block the list gets every property that a judge asks for, in order."""
-    seen: list[str] = []
-    token = _seen.set(seen)
-    try:
-        yield seen
-    finally:
-        _seen.reset(token)
-
-
-def _note(prop: str) -> None:
-    seen = _seen.get()
-    if seen is not None:
-        seen.append(prop)
-
-
-class NotCallable(Failed):
-    """There is no function that an input could be given to: ``on`` stays empty."""
 
 
 class NotWritten(Exception):
@@ -93,9 +68,7 @@ class Attempt:
             result = self._guarded(function, args, kwargs)
         except NotImplementedError:
             raise NotWritten from None
-        except NotCallable:
-            raise
-        except Failed as e:  # it broke a rule that holds for every exercise, or its process says what happened
+        except Failed as e:  # it broke a rule that holds for every exercise
             raise Failed(e.prop, on, e.detail) from None
         except Exception as e:
             place = line_of_error(e, self.function)
@@ -132,7 +105,6 @@ def _same(before: Any, after: Any) -> bool:
 
 def holds(condition: Any, prop: str, *, on: str, detail: str) -> None:
     """``prop`` fails, with ``detail``, unless ``condition`` is true."""
-    _note(prop)
     if not bool(condition):
         raise Failed(prop, on, detail)
 
@@ -151,7 +123,6 @@ def close(
         why: What a deviation usually means; ends the message.
         names: Of the values, where ``got`` is a list that the judge made from parts of an answer.
     """
-    _note(prop)
     right, mine = as_tensor(expected), _numbers(got, prop, on)
     if mine.shape != right.shape:
         raise Failed(prop, on, f"the shape is {list(mine.shape)}, expected {list(right.shape)}")

@@ -20,7 +20,6 @@ def _speedup_by_share(seconds: dict[str, float], stage: str, factor: float) -> f
 
 @exercise(
     chapter=10, difficulty=1, minutes=5, solution=_speedup,
-    stands_alone="It computes a number about the library, not a part of a map.",
     hints=(
         "What is the time of the frame before, and after?",
         "after = total - seconds[stage] + seconds[stage] / factor; the answer is total / after.",
@@ -73,7 +72,6 @@ def _attainable_sum(intensity: float, peak_gflops: float, gb_per_s: float) -> fl
 
 @exercise(
     chapter=10, difficulty=1, minutes=5, solution=_attainable,
-    stands_alone="It computes a number about the library, not a part of a map.",
     hints=(
         "Bytes arrive at gb_per_s, and each allows `intensity` operations. How many operations a second is that?",
         "The smaller of the two limits: min(peak, intensity x bandwidth).",
@@ -114,7 +112,6 @@ def _adam_per_map(n: int) -> tuple[int, float]:
 
 @exercise(
     chapter=10, difficulty=2, minutes=8, solution=_adam_traffic,
-    stands_alone="It computes a number about the library, not a part of a map.",
     hints=(
         "Which arrays are read? Value, gradient, m, v. Which are written?",
         "Four reads and three writes, of 4 bytes each.",
@@ -191,10 +188,6 @@ def _average_of_more_than_the_cap(D, W, d, max_weight):
 
 @exercise(
     chapter=10, difficulty=3, minutes=15, solution=_average_loop,
-    stands_alone=(
-        "It is tsdf_update as a loop, to be compiled; in a map the function of running_average stands for "
-        "the same update."
-    ),
     hints=(
         "The same formulas as in chapter 2 (Eq. 7-9), for one voxel i at a time, in a plain for loop.",
         "NaN is the only number that is not equal to itself: `if d[i] == d[i]`.",

@@ -68,7 +68,6 @@ def _budget_overshooting(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
 
 @exercise(
     chapter=9, difficulty=4, minutes=25, solution=_budget_cells,
-    stands_alone="It is a seeding rule of its own: a mapper takes it with seeding=, on every backend.",
     hints=(
         "Keep the leaves in a heap, the one with the largest error on top: heapq with negative errors.",
         "The error of a cell is the SUM over its pixels and channels of (value - mean)^2, as in the PSNR of a picture "

@@ -5,25 +5,20 @@
 ``<!-- END SOLUTION -->``. A cell that would be empty without it is left out. A student's copy has no outputs, because
 they would show what the reader is asked to predict. A learner's copy has the stored pictures of what to expect.
 
-A learner's work is never overwritten: a notebook is replaced only if it is, byte for byte, the one that was handed out.
-Otherwise a new edition is written beside it, and the message says so.
+A learner's work is never overwritten: a notebook that is there already stays.
 """
 
 import argparse
 import copy
-import hashlib
 import json
 import logging
 import re
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from ..errors import SequenceError
-from ..files import write_file
-from ..foreign import read_bytes, read_object
+from ..files import read_object, write_file
 
 log = logging.getLogger(__name__)
 
@@ -33,8 +28,6 @@ DOCUMENTATION = "documentation"
 
 _BEGIN = ("### BEGIN SOLUTION", "<!-- BEGIN SOLUTION -->")
 _END = ("### END SOLUTION", "<!-- END SOLUTION -->")
-_HANDED_OUT = ".handed_out.json"
-"""In the learner's folder: name of a notebook -> SHA-256 of the edition handed out last."""
 _CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$", re.MULTILINE)
 _PREDICT, _CAME = (re.compile(rf"\b{word}\(\s*\"(\w+)\"") for word in ("predict", "came"))
 _WHOSE = re.compile(r"^\w+: (your code is used\.|the reference's is used: )")
@@ -154,28 +147,11 @@ def documentation_pages(docs: Path) -> dict[str, bytes]:
     return found | {f"{DOCUMENTATION}/images/{path.name}": path.read_bytes() for path in pictures}
 
 
-@dataclass(frozen=True)
-class HandedOut:
-    """One notebook in the learner's folder, and what happened to it."""
-
-    path: Path
-    """The file of the newest edition."""
-    state: Literal["new", "unchanged", "renewed", "beside"]
-
-    def __str__(self) -> str:
-        said = {
-            "new": "written",
-            "unchanged": "as before",
-            "renewed": "replaced by a newer edition (you had not changed it)",
-            "beside": "is a newer edition of a notebook that you have changed; yours was not touched",
-        }
-        return f"{self.path}: {said[self.state]}"
-
-
-def copy_for_learner(target: Path) -> list[HandedOut]:
-    """The learner's edition of the installed notebooks in the folder ``target``; what was changed there is kept.
+def copy_for_learner(target: Path) -> list[Path]:
+    """The learner's edition of the installed notebooks in the folder ``target``; those that are there already stay.
 
     The pages of the documentation come along, unless ``target`` is a folder of a clone, whose own pages links lead to.
+    Returns the notebooks that were written.
 
     Raises:
         NotADirectoryError: ``target`` is a file. FileNotFoundError: this installation has no notebooks.
@@ -187,7 +163,7 @@ def copy_for_learner(target: Path) -> list[HandedOut]:
     return hand_out(notebooks, target, None if in_clone or docs is None else documentation_pages(docs))
 
 
-def hand_out(source: Path, target: Path, pages: Mapping[str, bytes] | None = None) -> list[HandedOut]:
+def hand_out(source: Path, target: Path, pages: Mapping[str, bytes] | None = None) -> list[Path]:
     """Write the learner's edition of the notebooks of a folder into the folder ``target``, which may hold earlier work.
 
     Args:
@@ -197,52 +173,23 @@ def hand_out(source: Path, target: Path, pages: Mapping[str, bytes] | None = Non
             default none: ``target`` is a folder of the project.
 
     Returns:
-        The notebooks.
+        The notebooks that were written; those that are there already stay.
 
     Raises:
         ValueError: no notebook in ``source``, ``target`` is ``source``, or unbalanced markers.
     """
-    handed_out = _read_handed_out(target / _HANDED_OUT)
-    done = []
+    written = []
     for path in _notebooks(source, target):
+        if (target / path.name).exists():
+            continue
         text = _as_text(path, learner_copy)
         if pages is not None:  # links of stored outputs to source files become text; run, they link to installed files
             text = _TO_A_SOURCE_FILE.sub(r"\1", _TO_A_PAGE.sub(f"]({DOCUMENTATION}/", text))
-        done.append(_write_unless_changed(target / path.name, text.encode(), handed_out))
+        write_file(target / path.name, text)
+        written.append(target / path.name)
     for name, content in (pages or {}).items():
-        _write_unless_changed(target / name, content, handed_out, name)
-    write_file(target / _HANDED_OUT, json.dumps(handed_out, indent=1) + "\n")
-    return done
-
-
-def _write_unless_changed(path: Path, content: bytes, handed_out: dict[str, str], name: str = "") -> HandedOut:
-    """Write one file, beside the learner's if that has changed; notes it in ``handed_out``."""
-    before, now = handed_out.get(name or path.name), hashlib.sha256(content).hexdigest()
-    handed_out[name or path.name] = now
-    if not path.exists():
-        write_file(path, content)
-        return HandedOut(path, "new")
-    there = hashlib.sha256(read_bytes(path, "a notebook")).hexdigest()
-    if now in (there, before):
-        return HandedOut(path, "unchanged")
-    if there == before:
-        write_file(path, content)
-        return HandedOut(path, "renewed")
-    number = 2
-    while (beside := path.with_name(f"{path.stem}.edition{number}{path.suffix}")).exists():
-        if read_bytes(beside, "a notebook") == content:
-            return HandedOut(beside, "unchanged")
-        number += 1
-    write_file(beside, content)
-    return HandedOut(beside, "beside")
-
-
-def _read_handed_out(path: Path) -> dict[str, str]:
-    """The hashes; empty where the file is missing or damaged, so that every notebook counts as changed."""
-    try:
-        return {name: str(value) for name, value in read_object(path, "hashes of the notebooks").items()}
-    except (SequenceError, OSError):
-        return {}
+        write_file(target / name, content)
+    return written
 
 
 def copy_for_class(source: Path, target: Path, *, solutions: bool = False) -> list[Path]:
@@ -296,14 +243,13 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     try:
         if options.learner:
-            lines = [str(done) for done in hand_out(options.source, options.target) if done.state != "unchanged"]
+            written = hand_out(options.source, options.target)
         else:
-            copied = copy_for_class(options.source, options.target, solutions=options.teacher)
-            lines = [f"wrote {path}" for path in copied]
+            written = copy_for_class(options.source, options.target, solutions=options.teacher)
     except ValueError as e:
         parser.error(str(e))
-    for line in lines:
-        log.info(line)
+    for path in written:
+        log.info("wrote %s", path)
 
 
 if __name__ == "__main__":

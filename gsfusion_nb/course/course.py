@@ -1,8 +1,6 @@
 """How far a learner is: exercises solved and predictions made, by chapter."""
 
-import shutil
-import textwrap
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from ..drawing.page import fill
 from .exercise import exercises
@@ -46,22 +44,8 @@ class Chapter:
     @property
     def line(self) -> str:
         """Exercises and time in one line."""
-        solved = f"{'#' * self.solved:<9}{self._exercises}"
-        return f"{self.number:2}  {self.title:28}{solved} {self._of}"
-
-    def wrapped(self, width: int) -> list[str]:
-        """The same in lines of at most ``width`` characters."""
-        rest = f"{self._exercises}, {self._of}"
-        title = textwrap.wrap(f"{self.number:2}  {self.title}", width, subsequent_indent="    ", drop_whitespace=False)
-        return [*title, *textwrap.wrap(rest, width, initial_indent="    ", subsequent_indent="    ")]
-
-    @property
-    def _exercises(self) -> str:
-        return f"{self.solved} of {self.total} exercises"
-
-    @property
-    def _of(self) -> str:
-        return f"{self.minutes:3} min"
+        solved = f"{'#' * self.solved:<9}{self.solved} of {self.total} exercises"
+        return f"{self.number:2}  {self.title:28}{solved} {self.minutes:3} min"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,35 +98,22 @@ class Course:
     def _repr_html_(self) -> str:
         return fill("course.html", course=self)
 
-    def as_table(self, width: int | None = None) -> str:
-        """All chapters, one a line if the terminal is wide enough.
-
-        Args:
-            width: Characters of a line; default: what the terminal has. Less than 20 count as 20.
-        """
-        width = max(shutil.get_terminal_size().columns if width is None else width, 20)
-        narrow = any(len(chapter.line) > width for chapter in self.chapters)
-        lines = [line for chapter in self.chapters for line in (chapter.wrapped(width) if narrow else [chapter.line])]
-        kept = [f"kept in {self.file}"] if self.file else []  # a path stays whole, so that it can be copied
-        return "\n".join([*lines, "", *(line for words in self._last for line in textwrap.wrap(words, width)), *kept])
-
-    @property
-    def _last(self) -> list[str]:
+    def as_table(self) -> str:
+        """All chapters, one a line, and what is next."""
         left = sum(chapter.minutes_left for chapter in self.chapters) / 60
         of = sum(chapter.minutes for chapter in self.chapters) / 60
         made = f"{self.predictions} prediction{'' if self.predictions == 1 else 's'}"
         begun = [chapter.open_exercises[0] for chapter in self.chapters if 0 < chapter.solved < chapter.total]
-        return [
-            f"{self.done} of {self.total} exercises, {made}; about {left:.0f} h of exercises are open",
-            f"about {of:.0f} h in all, text and panels included",
-            *([f"next: {', '.join(begun)}"] if begun else []),
-        ]
-
-    def as_json(self) -> dict[str, object]:
-        """For programs."""
-        chapters = [asdict(chapter) for chapter in self.chapters]
-        return {"file": self.file, "solved": self.done, "total": self.total, "predictions": self.predictions,
-                "chapters": chapters}  # fmt: skip
+        return "\n".join(
+            [
+                *(chapter.line for chapter in self.chapters),
+                "",
+                f"{self.done} of {self.total} exercises, {made}; about {left:.0f} h of exercises are open",
+                f"about {of:.0f} h in all, text and panels included",
+                *([f"next: {', '.join(begun)}"] if begun else []),
+                *([f"kept in {self.file}"] if self.file else []),
+            ]
+        )
 
 
 def read_course(chapter: int | None = None) -> Course:

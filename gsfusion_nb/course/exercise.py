@@ -33,8 +33,7 @@ A judged function runs in a thread of its own (``learner_code.py``), for at most
 solution, the operation that it becomes, or one of ``ready_made`` is refused.
 
 A function that passes is kept (``course.mine``). ``becomes=Becomes("lift", adapter)`` says which operation of the
-library it replaces under the backend ``mine``; ``adapter(yours, *arguments of the operation)`` calls it. An exercise
-without ``becomes`` says in ``stands_alone`` why its function runs nowhere in the library.
+library it replaces under the backend ``mine``; ``adapter(yours, *arguments of the operation)`` calls it.
 """
 
 import contextlib
@@ -67,30 +66,16 @@ from .progress import count, forgiving, note, now, read_section
 
 DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 
-_NO_CHAPTERS = {
-    "attempt", "copies", "course", "exercise", "grading", "learner_backend", "learner_code", "learner_operation",
-    "paper_tables", "predictions", "progress", "seeding_scene", "source_lines", "trace",
-}  # fmt: skip
-"""Modules of this folder that register no exercise."""
-
 _EXERCISES: dict[str, "Exercise"] = {}
 
 AUTOGRAD = (torch.autograd.grad, torch.autograd.backward)
 """What does an exercise whose gradient is to be written by hand."""
 
 
-@dataclass(frozen=True)
-class Hint:
-    """One hint, as a notebook shows it."""
+class Said(str):
+    """A sentence, which a notebook shows without quotation marks."""
 
-    number: int
-    """Counted from 1."""
-    of: int
-    """How many there are."""
-    text: str
-
-    def __repr__(self) -> str:
-        return f"Hint {self.number} of {self.of}: {self.text}"
+    __repr__ = str.__str__
 
 
 @dataclass(frozen=True)
@@ -108,24 +93,10 @@ class Solution:
         return Markup(block).format(self.exercise, self.source)
 
 
-@dataclass(frozen=True)
-class NotYet:
-    """The sentence that stands in for a solution before the first try."""
-
-    exercise: str
-    hints_left: int
-
-    def __repr__(self) -> str:
-        more = f" Before that: check.{self.exercise}.hint()" if self.hints_left else ""
-        return (
-            f"The solution of {self.exercise} opens after your first try: write the function and run "
-            f"check.{self.exercise}({self.exercise}).{more}"
-        )
-
-
-def source_of(exercise: str, function: Callable[..., Any]) -> str:
-    """Source of a solution under the exercise's name, after the private functions of its module that it calls."""
-    sources = [inspect.getsource(each) for each in [*_called_by(function, {function}), function]]
+def source_of(exercise: str, function: Callable[..., Any], without: Callable[..., Any] | None = None) -> str:
+    """Source of a function under the exercise's name, after the private functions of its module that it calls, but not
+    ``without``."""
+    sources = [inspect.getsource(each) for each in [*_called_by(function, {function, without}), function]]
     renamed = re.sub(rf"\b{re.escape(function.__name__)}\b", exercise, sources[-1])
     return "\n\n".join([*sources[:-1], renamed]).strip()
 
@@ -166,8 +137,6 @@ class Exercise:
     _solution: Callable[..., Any]
     wrong: tuple[Wrong, ...]
     becomes: Becomes | None = None
-    stands_alone: str = ""
-    """Why the function becomes nothing in the library; a sentence."""
     ready_made: tuple[Callable[..., Any], ...] = ()
     limit_s: float = LIMIT_S
     hints_given: int = 0
@@ -197,30 +166,22 @@ class Exercise:
 
     def verdict(self, function: Any) -> Verdict:
         """The verdict on ``function``, which is neither counted nor kept."""
-        left = len(self.hints) - self.hints_given
+        verdict = functools.partial(Verdict, exercise=self.name, hints_left=len(self.hints) - self.hints_given)
         if not callable(function):
-            detail = f"got a {type(function).__name__}"
-            return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=detail, hints_left=left)
-
-        with use_backend("reference") if self.becomes else contextlib.nullcontext():
-            return self.verdict_on(Attempt(function, self._guard()), self.judge)
-
-    def verdict_on(self, attempt: Attempt, judge: Callable[[Attempt], None]) -> Verdict:
-        """What ``judge`` says; nothing is kept or noted."""
-        left = len(self.hints) - self.hints_given
+            return verdict(state="failed", prop="it is a function", detail=f"got a {type(function).__name__}")
+        attempt = Attempt(function, self._guard())
         try:
-            judge(attempt)
+            with use_backend("reference") if self.becomes else contextlib.nullcontext():
+                self.judge(attempt)
         except NotWritten:
-            detail = "the function returns nothing so far"
-            return Verdict(exercise=self.name, state="not written", detail=detail, hints_left=left)
+            return verdict(state="not written", detail="the function returns nothing so far")
         except Failed as e:
-            return Verdict(exercise=self.name, state="failed", prop=e.prop, on=e.on, detail=e.detail, hints_left=left)
+            return verdict(state="failed", prop=e.prop, on=e.on, detail=e.detail)
         except Exception as e:  # the judge did something with the result that such a result cannot do
             prop = "it returns what the function's first line asks for"
             said = f"{type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}"
             detail = f"it returned {describe([attempt.returned])}, with which the checker could not go on ({said})"
-            on = attempt.words
-            return Verdict(exercise=self.name, state="failed", prop=prop, on=on, detail=detail, hints_left=left)
+            return verdict(state="failed", prop=prop, on=attempt.words, detail=detail)
         return Verdict(exercise=self.name, state="passed")
 
     @functools.cached_property
@@ -235,22 +196,26 @@ class Exercise:
         guard.refuse([*own, *self.ready_made], "which does what this exercise asks for; write it out")
         return guard
 
-    def hint(self, number: int | None = None) -> Hint:
+    def hint(self, number: int | None = None) -> Said:
         """The next hint, or hint ``number`` (from 1); after the last one, the last one again."""
         wanted = self.hints_given + 1 if number is None else number
         wanted = min(max(wanted, 1), len(self.hints))
         self.hints_given = max(self.hints_given, wanted)
         with forgiving():
             note("exercises", self.name, hints=self.hints_given)
-        return Hint(wanted, len(self.hints), self.hints[wanted - 1])
+        return Said(f"Hint {wanted} of {len(self.hints)}: {self.hints[wanted - 1]}")
 
-    def solution(self) -> Solution | NotYet:
+    def solution(self) -> Solution | Said:
         """Source code of a solution; before the first try, a sentence that says what to do."""
         noted: dict[str, Any] = {}
         with forgiving():
             noted = read_section("exercises").get(self.name, {})
         if not (self.tries or noted.get("tries", 0)):
-            return NotYet(self.name, len(self.hints) - self.hints_given)
+            more = f" Before that: check.{self.name}.hint()" if self.hints_given < len(self.hints) else ""
+            return Said(
+                f"The solution of {self.name} opens after your first try: write the function and run "
+                f"check.{self.name}({self.name}).{more}"
+            )
         if "solution_shown" not in noted:  # the first time counts
             with forgiving():
                 note("exercises", self.name, solution_shown=now())
@@ -288,7 +253,6 @@ def exercise(
     solution: Callable[..., Any],
     wrong: Sequence[Wrong],
     becomes: Becomes | None = None,
-    stands_alone: str = "",
     ready_made: Sequence[Callable[..., Any]] = (),
     limit_s: float = LIMIT_S,
 ) -> Callable[[Callable[[Attempt], None]], Exercise]:
@@ -322,7 +286,6 @@ def exercise(
         _EXERCISES[name] = Exercise(
             name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
             hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong), becomes=becomes,
-            stands_alone=stands_alone,
             ready_made=tuple(ready_made), limit_s=limit_s,
         )  # fmt: skip
         return _EXERCISES[name]
@@ -331,10 +294,10 @@ def exercise(
 
 
 def exercises() -> dict[str, Exercise]:
-    """Every exercise of the course by name; loads the chapters' modules."""
+    """Every exercise of the course by name; loads the modules of this folder, which register them."""
     package = importlib.import_module(__package__ or "")
     for module in pkgutil.iter_modules(package.__path__):
-        if module.name not in _NO_CHAPTERS:
+        if not module.ispkg:
             importlib.import_module(f"{package.__name__}.{module.name}")
     return dict(sorted(_EXERCISES.items(), key=lambda item: (item[1].chapter, item[0])))
 

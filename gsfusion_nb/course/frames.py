@@ -39,10 +39,6 @@ def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
 
 @exercise(
     chapter=1, difficulty=1, minutes=5, solution=_project, ready_made=(project,),
-    stands_alone=(
-        "Every room of the library projects points. Your project_gaussian (chapter 4) contains the same "
-        "equation, and that runs."
-    ),
     hints=(
         "Similar triangles: a point twice as far away lands half as far from the principal point.",
         "u = fx x / z + cx, and the same for v.",
@@ -91,10 +87,6 @@ def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> 
 
 @exercise(
     chapter=1, difficulty=2, minutes=8, solution=_lift, ready_made=(backproject,),
-    stands_alone=(
-        "Every room of the library lifts pixels. Your cell_to_gaussian (chapter 3) contains the same "
-        "equation, and that runs."
-    ),
     hints=(
         "Solve Eq. 4 for x and y; z is known.",
         "The ray ((u - cx) / fx, (v - cy) / fy, 1) has z = 1. What must it be multiplied by to get z = depth?",
@@ -150,10 +142,6 @@ def _invert_by_transposing(T: Tensor) -> Tensor:
 
 @exercise(
     chapter=1, difficulty=2, minutes=8, solution=_invert,
-    stands_alone=(
-        "Every room of the library inverts poses, also many at once. Your later functions contain the same "
-        "equation, and those run."
-    ),
     ready_made=(se3.inverse, torch.linalg.inv, torch.inverse, torch.linalg.solve, np.linalg.inv),
     hints=(
         "x_W = R x_C + t. Solve for x_C; R^-1 = R^T.",
@@ -202,7 +190,6 @@ def _normals_not_unit(points: Tensor) -> Tensor:
 
 @exercise(
     chapter=1, difficulty=3, minutes=10, solution=_normals,
-    stands_alone="The library's normals also leave out edges of depth, which the exercise does not ask for.",
     hints=(
         "Two directions in the surface: from the left to the right neighbour, and from the upper to the lower one.",
         "Their cross product is normal to both. Which order points back at the camera, to negative z?",
@@ -249,10 +236,6 @@ def _halve_the_centre_alone(fx: float, fy: float, cx: float, cy: float) -> tuple
 
 @exercise(
     chapter=1, difficulty=3, minutes=10, solution=_halve,
-    stands_alone=(
-        "The library never halves intrinsics of data sets that count from the centre of the first pixel: its "
-        "readers convert them when they are read."
-    ),
     hints=(
         "Where is the image's left edge, counted from the centre of its first pixel? And after halving?",
         "Count from the image's edge instead: add 0.5. Then halve. Then subtract 0.5 again.",

@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from ..constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ..geometry import quaternion, se3
+from ..render.constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ..render.project import Projection, ProjectionGradient
 from ..types import Camera, GaussianParams
 from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, unpack

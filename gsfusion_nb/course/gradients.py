@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..constants import ALPHA_MAX
 from ..render.composite import blend_weights
+from ..render.constants import ALPHA_MAX
 from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, unpack
 from .gradient_check import central_difference
 
@@ -39,7 +39,6 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
 
 @exercise(
     chapter=5, difficulty=1, minutes=5, solution=_slope, ready_made=AUTOGRAD,
-    stands_alone="It checks gradients. The mapper never differentiates numerically.",
     hints=(
         "For each i: move x[i] up by h, then down by h, and compare the two losses.",
         "Divide by 2h, the distance between the two points.",
@@ -151,10 +150,6 @@ def _wrong_sign(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
 
 @exercise(
     chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp, ready_made=AUTOGRAD,
-    stands_alone=(
-        "It is a part of project_gaussian_vjp, which becomes the gradient of the library's projection as a "
-        "whole."
-    ),
     hints=(
         "v_xyz = J^T v_uv with the J of chapter 4: three numbers.",
         "x moves only u, y only v, but z moves both.",
@@ -205,10 +200,6 @@ def _one_side(Q: Tensor, v_Q: Tensor) -> Tensor:
 
 @exercise(
     chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp, ready_made=AUTOGRAD,
-    stands_alone=(
-        "It is a part of project_gaussian_vjp, which becomes the gradient of the library's projection as a "
-        "whole."
-    ),
     hints=(
         "Start from Q cov = I and move cov a little: dQ cov + Q dcov = 0.",
         "So dQ = -Q dcov Q. For 1 x 1 matrices that is d(1/s) = -ds / s^2.",

@@ -25,7 +25,6 @@ def _rate_of_the_last(seconds: list[float]) -> float:
 
 @exercise(
     chapter=6, difficulty=1, minutes=4, solution=_frame_rate,
-    stands_alone="It describes a run after it has ended.",
     hints=(
         "Three frames in 0.7 s: how many frames is that in one second?",
         "Frames divided by time. Do not average rates: quick frames would count more than the time they took.",
@@ -258,10 +257,6 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
 
 @exercise(
     chapter=6, difficulty=4, minutes=20, solution=_map_frame, limit_s=LIBRARY_LIMIT_S,
-    stands_alone=(
-        "The library's step must be able to undo a frame that fails, so its order cannot be replaced. The "
-        "chapter maps with yours beside it."
-    ),
     hints=(
         "Four parts in this order: integrate(mapper.volume, frame); seeds = mapper.propose_seeds("
         "mapper.seed_context(frame)); mapper.gaussians.append(seeds, frame.index); optimise(frame).",

@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from ..constants import ALPHA_MAX, ALPHA_MIN
+from ..render.constants import ALPHA_MAX, ALPHA_MIN
 from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 

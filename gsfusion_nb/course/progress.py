@@ -15,19 +15,14 @@ import copy
 import json
 import os
 import sys
-import time
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from ..errors import SequenceError
-from ..files import try_lock, write_file
-from ..foreign import read_object
+from ..files import SequenceError, read_object, write_file
 
 FORMAT = 1
-LOCK_PATIENCE_S = 5.0
-"""How long to wait for another notebook that writes the file."""
 
 Entries = dict[str, dict[str, Any]]
 
@@ -67,29 +62,16 @@ def note(section: str, name: str, **values: Any) -> None:
     """Add ``values`` to the entry ``name`` of a section; they replace earlier values of the same keys.
 
     Raises:
-        CourseFileError: the file is damaged, newer, locked by another program, or cannot be written. It is unchanged.
+        CourseFileError: the file is damaged or newer, or cannot be written. It is unchanged.
     """
-    with changing(section) as entries:
-        entries.setdefault(name, {}).update(values)
+    course = _read()
+    course.setdefault(section, {}).setdefault(name, {}).update(values)
+    _write(course)
 
 
 def count(section: str, name: str, key: str) -> None:
     """Add one to the number ``key`` of the entry ``name``. Raises as ``note``."""
-    with changing(section) as entries:
-        entry = entries.setdefault(name, {})
-        entry[key] = int(entry.get(key, 0)) + 1
-
-
-@contextlib.contextmanager
-def changing(section: str) -> Iterator[Entries]:
-    """The entries of a section, to be changed inside the block; no other notebook writes meanwhile. Raises as ``note``.
-
-    After an exception inside the block the file is unchanged.
-    """
-    with _locked():
-        course = _read()
-        yield course.setdefault(section, {})
-        _write(course)
+    note(section, name, **{key: int(read_section(section).get(name, {}).get(key, 0)) + 1})
 
 
 def reset() -> Path | None:
@@ -135,8 +117,6 @@ def read_file(path: Path) -> dict[str, Any]:
         raise CourseFileError(
             f"{path} has format {found!r}, this version reads {FORMAT}: a newer version wrote it, or it is another file"
         )
-    if not all(_is_section(value) for key, value in course.items() if key != "format"):
-        raise CourseFileError(f"{path} is damaged: a section must hold objects by name")
     return course
 
 
@@ -152,38 +132,12 @@ def _read() -> dict[str, Any]:
         raise CourseFileError(f"{e}. It was left as it is. Rename it, or run  gsfusion-nb course --reset") from None
 
 
-def _is_section(value: Any) -> bool:
-    return isinstance(value, dict) and all(isinstance(entry, dict) for entry in value.values())
-
-
 def _write(course: dict[str, Any]) -> None:
     path = course_file()
     if path is None:
         return
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, json.dumps(course, indent=1, ensure_ascii=False) + "\n")
     except OSError as e:
         raise CourseFileError(f"{path} cannot be written ({e})") from None
-
-
-@contextlib.contextmanager
-def _locked() -> Iterator[None]:
-    """No other notebook of this user changes the file meanwhile."""
-    path = course_file()
-    if path is None:
-        yield
-        return
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle = os.open(path.with_name(f".{path.name}.lock"), os.O_RDWR | os.O_CREAT)
-    except OSError as e:
-        raise CourseFileError(f"{path} cannot be written ({e})") from None
-    try:
-        until = time.monotonic() + LOCK_PATIENCE_S
-        while not try_lock(handle):
-            if time.monotonic() > until:
-                raise CourseFileError(f"{path} is held by another program for more than {LOCK_PATIENCE_S:g} s")
-            time.sleep(0.02)
-        yield
-    finally:
-        os.close(handle)

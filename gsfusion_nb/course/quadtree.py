@@ -5,9 +5,8 @@ import math
 import torch
 from torch import Tensor
 
-from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
 from ..geometry import se3
-from ..seeding.quadtree import Cell, Cells, cut, quadtree
+from ..seeding.quadtree import LUMA_WEIGHTS, QUADTREE_NORMALISER, Cell, Cells, cut, quadtree
 from ..types import Camera
 from .attempt import as_rows
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack

@@ -84,10 +84,6 @@ def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
 
 @exercise(
     chapter=0, difficulty=2, minutes=8, solution=_psnr, ready_made=(evaluation.psnr,),
-    stands_alone=(
-        "It scores a finished picture. The chapters score your maps with the library's PSNR, so that the "
-        "ruler is the same for all."
-    ),
     hints=(
         "Peak signal to noise: the peak is 1 here. Noise is the mean of the squared differences.",
         "10 log10(peak^2 / MSE). With peak 1 that is -10 log10(MSE).",
@@ -144,10 +140,6 @@ def _all_others(n: int, every: int, offset: int) -> list[int]:
 
 @exercise(
     chapter=0, difficulty=1, minutes=5, solution=_exam,
-    stands_alone=(
-        "It chooses the frames that a map is scored on, before anything is mapped; the reader of the "
-        "recording does that."
-    ),
     hints=(
         "print(sequence.held_out.positions) shows them.",
         "range(start, stop, step) counts in steps; or ask every i for its remainder, i % every.",

@@ -35,7 +35,6 @@ def _noisy_side(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
 
 @exercise(
     chapter=11, difficulty=3, minutes=12, solution=_depth_factor,
-    stands_alone="It examines a recording before anything is mapped; the library does that in its check of recordings.",
     hints=(
         "In metres the same point is s a in the first camera and s b in the second: R (s a) + t = s b.",
         "So s (b - R a) = t for every point: the turn is taken out, what is left is the motion in stored units.",
@@ -119,7 +118,6 @@ def _only_forwards(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int
 
 @exercise(
     chapter=11, difficulty=3, minutes=15, solution=_pose_shift,
-    stands_alone="It examines a recording before anything is mapped; the library does that in its check of recordings.",
     hints=(
         "Try every k from -reach to reach. Image i belongs to pose i + k, so for k > 0 compare image_motion[: n - k] "
         "with pose_motion[k:].",
@@ -212,7 +210,6 @@ def _no_noise(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
 
 @exercise(
     chapter=11, difficulty=4, minutes=20, solution=_tell_apart,
-    stands_alone="It examines a recording before anything is mapped; the library does that in its check of recordings.",
     hints=(
         "First the given pose: the root of the mean squared distance between R a + t and b. Below 3 noise_m it fits.",
         "Otherwise look for the rigid motion that fits best. Its R comes from the singular values of (a - mean a)^T "

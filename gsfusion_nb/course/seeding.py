@@ -1,13 +1,46 @@
 """Exercises of chapter 9: rules that keep the contract, and Pareto fronts."""
 
+from types import SimpleNamespace
+
 import torch
 from torch import Tensor
 
+from ..config import SeedingConfig, TsdfConfig
 from ..geometry import pixel_grid, project, se3
 from ..seeding import SeedContext, SeedingRule, check_contexts, check_rule
-from ..types import Seeds
+from ..types import Camera, Frame, GaussianParams, Seeds
 from .exercise import LIBRARY_LIMIT_S, Attempt, Failed, Wrong, close, exercise, holds
-from .seeding_scene import wall_context
+
+
+def wall_context(covered: str = "nothing") -> SeedContext:
+    """A chequered wall 2 m away, seen by 64 x 48 pixels; "quarter": opaque Gaussians on its upper left quarter."""
+    camera = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
+    j, i = torch.meshgrid(torch.arange(48), torch.arange(64), indexing="ij")
+    grey = (((i // 4) + (j // 4)) % 2).float() * 0.8 + 0.1
+    frame = Frame(
+        index=0, timestamp_s=0.0, rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
+        depth_m=torch.full((48, 64), 2.0), camera=camera, T_WC=torch.eye(4),
+    )  # fmt: skip
+    x, y = torch.meshgrid(torch.linspace(-1.2, -0.1, 12), torch.linspace(-0.9, -0.1, 9), indexing="xy")
+    xyz = torch.stack([x, y, torch.full_like(x, 2.0)], dim=-1).reshape(-1, 3)
+    if covered == "nothing":
+        xyz = xyz[:0]
+    n = len(xyz)
+    params = GaussianParams(
+        xyz_W=xyz, log_scale=torch.full((n, 3), 0.06).log(), quat=torch.tensor([1.0, 0, 0, 0]).expand(n, 4).clone(),
+        opacity_logit=torch.full((n,), 4.0), sh=torch.zeros(n, 1, 3),
+    )  # fmt: skip
+    config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
+    return SeedContext(frame, _FreshVolume(), SimpleNamespace(params=params), config=config)
+
+
+class _FreshVolume:
+    """Every voxel was observed once."""
+
+    config = TsdfConfig(voxel_size_m=0.02)
+
+    def sample_nearest(self, xyz_W: Tensor) -> SimpleNamespace:
+        return SimpleNamespace(D=torch.zeros(len(xyz_W)), W=torch.ones(len(xyz_W)))
 
 
 def _raster(ctx: SeedContext, *, step_px: int = 8) -> Seeds:
@@ -39,7 +72,6 @@ def _raster_positional(ctx: SeedContext, step_px: int = 8) -> Seeds:
 
 @exercise(
     chapter=9, difficulty=2, minutes=10, solution=_raster, limit_s=LIBRARY_LIMIT_S,
-    stands_alone="It is a seeding rule of its own: a mapper takes it with seeding=, on every backend.",
     hints=(
         "pixel_grid(ctx.camera) has all pixel centres, [H, W, 2]; slice it with [start::step_px, start::step_px].",
         "ctx.seeds_at(uv, radius_px) does the rest: depth, back-projection, colour, size. uv is [N, 2].",
@@ -116,7 +148,6 @@ def _where_swapped(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
 
 @exercise(
     chapter=9, difficulty=3, minutes=15, solution=_where_empty, limit_s=LIBRARY_LIMIT_S,
-    stands_alone="It is a seeding rule of its own: a mapper takes it with seeding=, on every backend.",
     hints=(
         "ctx.cells() proposes a seed for each quadtree leaf with depth. ctx.render().alpha [H, W] says how opaque the "
         "map is at each pixel.",
@@ -183,7 +214,6 @@ def _pareto_against_itself(n_gaussians: Tensor, psnr_db: Tensor) -> Tensor:
 
 @exercise(
     chapter=9, difficulty=2, minutes=8, solution=_pareto,
-    stands_alone="It compares finished runs.",
     hints=(
         "Rule a beats rule b if it has no more Gaussians, no less PSNR, and is better in at least one of the two.",
         "n[:, None] <= n compares every rule with every rule: row a, column b.",

@@ -6,9 +6,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..constants import SCREEN_BLUR_PX2, SH_C0, TILE_PX
-from ..geometry.spherical_harmonics import sh_to_rgb
+from ..geometry.spherical_harmonics import SH_C0, sh_to_rgb
 from ..render.composite import blend_weights
+from ..render.constants import SCREEN_BLUR_PX2, TILE_PX
 from ..render.project import Projection
 from ..render.tiles import TileLists
 from ..types import Camera
@@ -44,7 +44,6 @@ def _one_focal_length(xyz_C: Tensor, cov_C: Tensor, fx: float, fy: float) -> Ten
 
 @exercise(
     chapter=4, difficulty=3, minutes=12, solution=_covariance_2d,
-    stands_alone="It is a part of project_gaussian, which becomes the library's projection as a whole.",
     hints=(
         "J holds the derivatives of u = fx x/z + cx and v = fy y/z + cy by x, y and z: two rows, three columns.",
         "du/dz is not zero: u = fx x/z, so du/dz = -fx x / z^2. Extent along z therefore widens the ellipse sideways.",

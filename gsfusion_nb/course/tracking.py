@@ -269,10 +269,6 @@ def _linear_blend(poses: Tensor, T_loop: Tensor) -> Tensor:
 
 @exercise(
     chapter=8, difficulty=4, minutes=15, solution=_spread,
-    stands_alone=(
-        "The back end solves a pose graph instead, whose step is exercise graph_step; nothing in the library "
-        "spreads a correction evenly."
-    ),
     hints=(
         "What takes the last pose to where the loop says it is? change = T_loop @ inverse(poses[-1]), on the left.",
         "Pose k gets the share k / (N - 1) of it: none at the start, all at the end.",

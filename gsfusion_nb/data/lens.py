@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..geometry import depth_to_points, project, se3
-from ..operands import check_plausible_camera
+from ..geometry.operands import check_plausible_camera
 from ..types import Camera
 from .sequence import SequenceError
 
@@ -97,19 +97,6 @@ def pixel_map(model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarra
     return cv2.initUndistortRectifyMap(K, D, np.eye(3), K_new, size, cv2.CV_32FC1)
 
 
-def z_of_range(range_m: np.ndarray, model: CameraModel) -> np.ndarray:
-    """z-depth of distances measured along each pixel's ray: z = range / |ray with z = 1|, float32. [H, W]"""
-    import cv2
-
-    height, width = range_m.shape
-    K, D, _ = _opencv(model)
-    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    uv = np.stack([u, v], -1).reshape(-1, 1, 2)
-    undistort = cv2.fisheye.undistortPoints if model.fisheye else cv2.undistortPoints
-    xy = undistort(uv, K, D).reshape(height, width, 2)
-    return (range_m / np.sqrt(1 + (xy * xy).sum(-1))).astype(np.float32)
-
-
 def _opencv(model: CameraModel) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
     K = model.camera.K.numpy().copy()
     K[:2, 2] -= 0.5  # OpenCV puts pixel centres at integers
@@ -173,18 +160,18 @@ def warp_depth(
     return out.where(out.isfinite(), torch.zeros_like(out)).reshape(target.height, target.width)
 
 
-@dataclass(frozen=True, eq=False)
 class Registration:
-    """Makes a registered pair from a distorted colour image and a depth image of a second camera."""
+    """Makes a registered pair from a distorted colour image and a depth image of a second camera.
 
-    depth_camera: Camera
-    colour: Undistorter
-    T_colour_depth: Float[Tensor, "4 4"]
+    Args:
+        depth_camera: Camera of the depth image.
+        lens: Of the colour image.
+        T_depth_colour: Pose of the colour camera in the depth camera's frame.
+    """
 
-    @staticmethod
-    def of(depth_camera: Camera, lens: CameraModel, T_depth_colour: Float[Tensor, "4 4"]) -> "Registration":
-        """From the pose of the colour camera in the depth camera's frame."""
-        return Registration(depth_camera, Undistorter(lens), se3.inverse(T_depth_colour))
+    def __init__(self, depth_camera: Camera, lens: CameraModel, T_depth_colour: Float[Tensor, "4 4"]):
+        self.depth_camera, self.colour = depth_camera, Undistorter(lens)
+        self.T_colour_depth = se3.inverse(T_depth_colour)
 
     def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Undistorted colour, and depth warped into it."""

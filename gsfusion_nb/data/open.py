@@ -11,8 +11,7 @@ import torch
 
 from ..checks import check_name
 from ..config import DataConfig
-from ..files import file_hashes
-from ..foreign import noting_files
+from ..files import file_hashes, noting_files
 from . import readers
 from .adjust.repair import ExtraOf, OpenedSequence, RepairedSequence, SequenceView, apply_options
 from .recorded.files import missing
@@ -36,7 +35,6 @@ def open_sequence(
     *,
     format: str = "auto",
     data: DataConfig | None = None,
-    split: str | None = None,
     extra: ExtraOf | None = None,
     **options: Any,
 ) -> OpenedSequence:
@@ -44,14 +42,12 @@ def open_sequence(
 
     Args:
         path_or_name: Folder of a sequence, or "room", the built-in scene (a folder of that name: "./room").
-        format: "auto" recognises the layout by its files; or the name of one: ``layouts()``.
+        format: "auto" recognises the layout by its files; or the name of a file in ``readers``.
         data: Size, range, depth limits, held-out frames.
-        split: "train" or "test" of a data set that publishes such lists (ScanNet++); None maps the training frames and
-            holds the test frames out.
         extra: A function from a frame, at its recorded size, to further images of it by name: labels, uncertainties, or
             anything [H, W, ...]. They become ``frame.extra``, are resized with the frame, and reach seeding rules.
-        options: Keyword arguments of the layout's reader, such as ``undistort`` of ``tum`` or ``register`` of
-            ``seven_scenes``.
+        options: Keyword arguments of the layout's reader, such as ``undistort`` of ``tum``, ``register`` of
+            ``seven_scenes`` or ``split`` of ``scannetpp``.
 
     Raises:
         SequenceNotFoundError: no such folder, or one of its files is missing.
@@ -61,10 +57,6 @@ def open_sequence(
     """
     check_name("format", format, ("auto", "room", *known_layouts()))
     if format == "room" or (format == "auto" and str(path_or_name) == "room"):
-        if split is not None:
-            raise SequenceError(
-                f"the built-in scene has no split {split!r}; held-out views come from data.hold_out_every"
-            )
         from .room import room
 
         if data is not None and data.width and data.height:  # rendered at the wanted size, not resized to it
@@ -78,23 +70,11 @@ def open_sequence(
             + (_CONVERT if path.exists() else "")
         )
     name = detect_layout(path) if format == "auto" else format
-    layout = known_layouts()[name]
-    if split is not None:
-        if not layout.has_splits:
-            raise SequenceError(
-                f"{path}: the {name!r} layout has no split {split!r}; use data.hold_out_every to hold frames out"
-            )
-        options = {"split": split, **options}
     with noting_files() as read_from:
-        recording = layout.read(path, **options)
+        recording = known_layouts()[name].read(path, **options)
     if isinstance(recording, RecordedSequence):
         recording = dataclasses.replace(recording, read_from=tuple(dict.fromkeys(read_from)))
     return apply_options(recording, data, extra)
-
-
-def layouts() -> list[str]:
-    """Names that ``open_sequence(format=...)`` takes besides "auto" and "room"."""
-    return list(known_layouts())
 
 
 def detect_layout(path: str | Path) -> str:
@@ -131,7 +111,7 @@ def sequence_fingerprint(sequence: OpenedSequence) -> str:
         digest.update(repr(source.repair).encode())
         source = source.source
     if isinstance(source, RecordedSequence):
-        stored = (source.depth_scale, source.depth_invalid, source.stored_size, source.fit_sizes)
+        stored = (source.depth_scale, source.depth_invalid, source.fit_sizes)
         digest.update(repr((stored, list(data_files(sequence).values()))).encode())
         if source.rectify is not None:  # what it does to the images shows in one of them
             _add_pixels(digest, sequence.mapping, at_most=1)

@@ -5,9 +5,9 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Float
 from torch import Tensor
 
-from ..errors import BadFrameError as BadFrameError
-from ..errors import SequenceError as SequenceError
-from ..errors import SequenceNotFoundError as SequenceNotFoundError
+from ..files import BadFrameError as BadFrameError
+from ..files import SequenceError as SequenceError
+from ..files import SequenceNotFoundError as SequenceNotFoundError
 from ..types import Camera, Frame
 
 

@@ -27,6 +27,14 @@ PALETTE = ("#3d85c6", "#e08a2e", "#6a9e1f", "#d1495b", "#8e6bbf", "#8a8f98", "#2
 
 BETWEEN = "#{:02x}{:02x}{:02x}".format(*pictures.BETWEEN)
 """``pictures.BETWEEN`` as matplotlib and pages write it."""
+CARD, CARD_INK = ("#{:02x}{:02x}{:02x}".format(*rgb) for rgb in (pictures.CARD, pictures.CARD_INK))
+"""Ground and text of pictures in a row, as matplotlib writes them."""
+
+
+def rgb_of(colour: str) -> tuple[int, ...]:
+    """The bytes of "#rrggbb"."""
+    return tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
+
 
 _THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)", PAPER: "var(--card)"}
 
@@ -77,7 +85,11 @@ def curve_figure(
             markersize=7, markeredgewidth=1.0, color=MUTED, label=marks_label, clip_on=False,
         )  # fmt: skip
     if len(series) + bool(len(marks)) > 1:
-        _legend(figure, axes)
+        legend: Any = figure.legend(
+            loc="outside upper left", ncols=3, frameon=False, fontsize=9.5, labelcolor=INK, handlelength=1.2,
+            columnspacing=1.2, borderpad=0.1,
+        )  # fmt: skip
+        legend.set_in_layout(True)
     return figure
 
 
@@ -133,13 +145,64 @@ def figure_words(figure: "Figure") -> str:
     return f"Graph of {'; '.join(parts)}"
 
 
-def figure_picture(figure: "Figure") -> Picture:
-    """A figure as an image, at its own size and resolution."""
+def figure_picture(figure: "Figure", channels: int = 3) -> Any:
+    """A figure as an image, at its own size and resolution; with 4 channels its ground stays transparent."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    return np.asarray(canvas.buffer_rgba())[..., :channels].copy()
+
+
+def style(axes: "Axes", *, x: str = "", y: str = "", title: str = "", ink: str = BETWEEN) -> None:
+    """Labels and frame of a graph, readable on a light and on a dark page."""
+    axes.set_facecolor("none")
+    axes.set_xlabel(x, color=ink, fontsize=8)
+    axes.set_ylabel(y, color=ink, fontsize=8)
+    axes.set_title(title, color=ink, fontsize=8.5, loc="left", pad=3)
+    axes.tick_params(colors=ink, labelsize=7.5, length=2.5)
+    for spine in axes.spines.values():
+        spine.set_color(ink)
+        spine.set_linewidth(0.6)
+
+
+def card_figure(width: int, height: int, rows: int = 1, **options: Any) -> tuple["Figure", list[Any]]:
+    """A figure on the ground of pictures in a row, and its axes below each other; for ``figure_picture``.
+
+    Args:
+        width, height: Of the picture, pixels.
+        rows: Number of axes.
+        options: Of ``Figure.subplots``.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=CARD, layout="constrained")
+    axes = figure.subplots(rows, squeeze=False, **options)[:, 0]
+    for one in axes:
+        style(one, ink=CARD_INK)
+    return figure, list(axes)
+
+
+def image_figure(
+    image: pictures.AnyImage, size: tuple[int, int], window: Sequence[float | int] = ()
+) -> tuple["Figure", "Axes"]:
+    """An image, enlarged without smoothing, to draw over in its pixels (u, v); for ``figure_picture``.
+
+    Args:
+        image: RGB. [H, W, 3]
+        size: Width and height of the picture, pixels.
+        window: What is shown, as u from and to, v from and to; light grey beyond the image. By default the whole image.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="#ececec")
+    axes = figure.add_axes((0, 0, 1, 1))
+    height, width = image.shape[:2]
+    axes.imshow(pictures.to_uint8(image), extent=(0, width, height, 0), interpolation="nearest")
+    u0, u1, v0, v1 = window or (0, width, 0, height)
+    axes.set(xlim=(u0, u1), ylim=(v1, v0), aspect="auto", autoscale_on=False)
+    axes.set_axis_off()
+    return figure, axes
 
 
 def _style(axes: "Axes", x_label: str, y_label: str) -> None:
@@ -156,72 +219,35 @@ def _style(axes: "Axes", x_label: str, y_label: str) -> None:
         spine.set_color(GRID)
 
 
-def _legend(figure: "Figure", axes: "Axes") -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    one_row = sum(map(len, labels)) + 5 * len(labels) <= 66  # characters that fit across, handles counted as five
-    columns = len(labels) if one_row else math.ceil(len(labels) / 2)
-    legend: Any = figure.legend(
-        handles, labels, loc="outside upper left", ncols=columns, frameon=False, fontsize=9.5, labelcolor=INK,
-        handlelength=1.2, columnspacing=1.2, borderpad=0.1,
-    )  # fmt: skip
-    legend.set_in_layout(True)
-
-
 def _thousands(value: float, _position: Any = None) -> str:
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:g}"
 
 
-_FAINT = (223, 228, 234)
-
-
-def small_curves(
-    series: Mapping[str, Sequence[float | int]], *, n_x: int, width: int = 320, height: int = 110, scale: int = 2
-) -> Picture:
+def small_curves(series: Mapping[str, Sequence[float | int]], *, n_x: int, width: int, height: int = 110) -> Picture:
     """One small graph per series, in a row: its title and newest value above, the range of its values at the left.
-
-    The ground is white, for ``encode_drawing`` or ``on_card``.
 
     Args:
         series: Title -> values so far, one per step; NaN leaves a gap.
         n_x: Number of steps of the whole run, which fill the width, so that the curve also shows progress.
-        width, height: Size of one graph on screen, pixels.
-        scale: Picture pixels per screen pixel; 2 looks sharp on fine screens.
+        width, height: Of the picture, pixels.
     """
-    graphs = []
-    for i, (title, values) in enumerate(series.items()):
-        colour = PALETTE[i % len(PALETTE)]
-        rgb = tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5))
-        graphs.append(_graph(title, values, n_x, (width * scale, height * scale), scale, rgb))
-    return np.concatenate(graphs, axis=1)
+    from matplotlib.figure import Figure
 
-
-def _graph(
-    title: str, values: Sequence[float | int], n_x: int, size: tuple[int, int], s: int, rgb: tuple[int, ...]
-) -> Picture:
-    import cv2
-
-    width, height = size
-    image = np.full((height, width, 3), 255, np.uint8)
-    left, right, top, bottom = 52 * s, width - 10 * s, 26 * s, height - 10 * s
-    known = [v for v in values if math.isfinite(v)]
-    low, high = _range(known)
-    for y in (top, bottom):
-        cv2.line(image, (left, y), (right, y), _FAINT, s)
-
-    def text(words: str, x: int, y: int, size: float, ink: tuple[int, ...]) -> None:
-        cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size * s, ink, s, cv2.LINE_AA)
-
-    text(f"{title}  {number(known[-1])}" if known else title, left, top - 9 * s, 0.42, pictures.BETWEEN)
-    if known:
-        text(number(high), 4 * s, top + 5 * s, 0.38, pictures.BETWEEN)
-        text(number(low), 4 * s, bottom + 3 * s, 0.38, pictures.BETWEEN)
-    x = np.linspace(left, right, max(n_x, len(values), 2))[: len(values)]
-    y = bottom - (np.array(values, float) - low) / (high - low) * (bottom - top)
-    for run in _runs(np.isfinite(y)):
-        points = np.stack([x[run], y[run]], 1).round().astype(np.int32)
-        cv2.polylines(image, [points], False, rgb, 2 * s, cv2.LINE_AA)
-        cv2.circle(image, [int(v) for v in points[-1]], 2 * s, rgb, -1, cv2.LINE_AA)
-    return image
+    figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=CARD)
+    every = figure.subplots(1, len(series), squeeze=False)[0]
+    figure.subplots_adjust(50 / width, 8 / height, 1 - 8 / width, 1 - 24 / height, 60 * len(series) / width)
+    for axes, (title, values), ink in zip(every, series.items(), PALETTE * len(series), strict=False):
+        known = [v for v in values if math.isfinite(v)]
+        axes.plot(np.arange(len(values)), np.array(values, float), color=ink, linewidth=1.5)
+        axes.set_xlim(0, max(n_x, len(values), 2) - 1)
+        axes.set_xticks([])
+        low, high = (min(known), max(known)) if known else (0.0, 1.0)
+        axes.set_yticks([low, high], [number(low), number(high)] if known else ["", ""])
+        axes.grid(axis="y", color=CARD_INK, alpha=0.2)
+        style(axes, title=f"{title}  {number(known[-1])}" if known else title, ink=CARD_INK)
+        for spine in axes.spines.values():
+            spine.set_visible(False)
+    return figure_picture(figure)
 
 
 def number(value: float | int) -> str:
@@ -229,17 +255,3 @@ def number(value: float | int) -> str:
     if abs(value) >= 10_000:
         return f"{value / 1000:,.1f}k"
     return f"{value:,.0f}" if abs(value) >= 100 or value == int(value) else f"{value:.1f}"
-
-
-def _range(known: Sequence[float | int]) -> tuple[float, float]:
-    """Limits of the vertical axis."""
-    if not known:
-        return 0.0, 1.0
-    low, high = float(min(known)), float(max(known))
-    return (low, high) if high > low else (low - 0.5, high + 0.5)
-
-
-def _runs(known: np.ndarray) -> list[slice]:
-    """Stretches of consecutive known values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(np.int8), [0]])))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -31,19 +31,6 @@ class ColourBar:
         return pictures.colour_stops(self.colours)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PagePicture:
-    """A picture that is stored in the page."""
-
-    src: str
-    """The picture as a data URI."""
-    width: int
-    height: int
-    alt: str
-    caption: str
-    bar: ColourBar | None = None
-
-
 @dataclass(frozen=True)
 class PageGraph:
     """A graph that is stored in the page."""
@@ -55,12 +42,18 @@ class PageGraph:
 
 def page_picture(
     image: pictures.ImageLike, caption: str, *, alt: str = "", bar: ColourBar | None = None
-) -> PagePicture:
-    """A picture for a page, at most ``PICTURE_WIDTH`` wide; ``alt`` is the caption if it is not given."""
+) -> dict[str, Any]:
+    """A picture that is stored in the page, for ``parts.html``: at most ``PICTURE_WIDTH`` wide.
+
+    Args:
+        image: RGB. [H, W, 3]
+        caption: Below it; also its description, unless ``alt`` is given.
+        bar: The scale of its colours.
+    """
     small = pictures.fit_width(image, PICTURE_WIDTH)
     height, width = small.shape[:2]
     src = pictures.data_uri(small)
-    return PagePicture(src=src, width=width, height=height, alt=alt or caption, caption=caption, bar=bar)
+    return {"src": src, "width": width, "height": height, "alt": alt or caption, "caption": caption, "bar": bar}
 
 
 def page_graph(title: str, x: Numbers, series: Mapping[str, Numbers], **options: Any) -> PageGraph:

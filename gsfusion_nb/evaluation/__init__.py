@@ -1,7 +1,5 @@
 """Scores of a map: images, geometry and trajectory."""
 
-from .geometry import GeometryScores as GeometryScores
-from .geometry import OwnMeshDistance as OwnMeshDistance
 from .geometry import centres_to_own_mesh as centres_to_own_mesh
 from .geometry import cull_unseen as cull_unseen
 from .geometry import disc_scores as disc_scores

@@ -5,9 +5,7 @@ would hide a systematic shift. Distances are stored in metres and printed in cen
 """
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -15,7 +13,7 @@ from torch import Tensor
 
 from ..checks import check_finite, check_positive, check_shape
 from ..geometry import project, quaternion, se3
-from ..types import Frame, GaussianParams, Mesh
+from ..types import Camera, Frame, GaussianParams, Mesh
 from .image import psnr
 from .metrics import NotComputed
 
@@ -24,56 +22,14 @@ NEIGHBOURS = 8
 typical vertex."""
 SAMPLES_PER_M2 = 10_000
 """One point per cm^2, as GSFusion's released evaluation draws on the mesh."""
+BEHIND_M = 0.05
+"""How far behind the measured depth a point still counts as seen, metres."""
 NEAR_M = 0.02
 """A view shows a vertex if its measured depth there differs by less than this, metres."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class GeometryScores:
-    """Distances between a reconstruction and its ground truth."""
-
-    accuracy_m: float
-    """Mean distance from the reconstruction to the truth, metres."""
-    completion_m: float
-    """Mean distance from the truth to the reconstruction, metres."""
-    precision: float
-    """Share of the reconstruction nearer than the threshold to the truth."""
-    completion_ratio: float
-    """Share of the truth nearer than the threshold to the reconstruction (recall)."""
-    threshold_m: float
-    """Threshold of the two shares, metres. Papers use 3 cm or 5 cm."""
-    distance: str
-    """"surface": to the triangles; "samples": to the nearest sample."""
-
-    @property
-    def f_score(self) -> float:
-        """Harmonic mean of precision and completion ratio."""
-        total = self.precision + self.completion_ratio
-        return 2 * self.precision * self.completion_ratio / total if total > 0 else 0.0
-
-    def as_metrics(self, prefix: str = "mesh") -> dict[str, float]:
-        """The numbers with the names of the metrics table."""
-        names = ("accuracy_m", "completion_m", "precision", "completion_ratio", "f_score", "threshold_m")
-        return {f"{prefix}_{name}": getattr(self, name) for name in names}
-
-    def __str__(self) -> str:
-        return (
-            f"accuracy {self.accuracy_m * 100:.2f} cm, completion {self.completion_m * 100:.2f} cm, within "
-            f"{self.threshold_m * 100:g} cm: precision {self.precision:.1%}, "
-            f"completion ratio {self.completion_ratio:.1%}, F-score {self.f_score:.3f}"
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SurfaceSamples:
-    """Points on a mesh and the triangles they lie on."""
-
-    xyz_W: Float[Tensor, "N 3"]
-    face: Int[Tensor, " N"]
-
-
-def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> SurfaceSamples:
-    """``n`` points spread evenly over the area of ``mesh``, float64.
+def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
+    """``n`` points spread evenly over the area of ``mesh``, float64, and the triangles that they lie on.
 
     A triangle is drawn with probability area / total area; inside it the point (1 - r) a + r ((1 - s) b + s c) with
     r = sqrt(u1), s = u2 is uniform.
@@ -90,7 +46,7 @@ def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> SurfaceSam
     face, draw = _drawn_by_area(upto, n, generator)
     r, s = draw[:, 1:2].sqrt(), draw[:, 2:3]
     a, b, c = corners[face].unbind(1)
-    return SurfaceSamples(xyz_W=(1 - r) * a + r * ((1 - s) * b + s * c), face=face)
+    return (1 - r) * a + r * ((1 - s) * b + s * c), face
 
 
 def _drawn_by_area(
@@ -109,25 +65,20 @@ def mesh_scores(
     generator: torch.Generator,
     threshold_m: float = 0.03,
     n_samples: int = 200_000,
-    observed: Callable[[Tensor], Tensor] | None = None,
-    distance: Literal["surface", "samples"] = "surface",
-) -> GeometryScores | NotComputed:
+) -> dict[str, float] | NotComputed:
     """Accuracy and completion of ``mesh`` against ``reference``, from even samples of both surfaces.
 
     Args:
         mesh: The reconstruction.
-        reference: The true surface.
+        reference: The true surface, already reduced to the part that was seen (``cull_unseen``).
         generator: Draws the samples.
         threshold_m: For precision, completion ratio and F-score, metres.
         n_samples: Points drawn on each surface.
-        observed: ``xyz_W [N, 3] -> bool [N]``: which points of the true surface count for completion, usually
-            ``lambda xyz: seen_by(xyz, frames)``; parts that no frame shows need not be reconstructed.
-        distance: "surface" measures to the triangles nearby. "samples" measures to the closest
-            sample, as is usual in published tables; on average it does not fall below half the sample spacing,
-            sqrt(area / n_samples) / 2 (9 mm for 60 m^2 and 200,000 samples).
 
     Returns:
-        The scores, or the reason why there are none (no reconstructed surface, nothing observed).
+        Mean distance from the reconstruction to the truth (``accuracy_m``) and back (``completion_m``), metres; share
+        of either that is nearer than the threshold to the other (``precision``, ``completion_ratio``), their harmonic
+        mean (``f_score``), and ``threshold_m``; or the reason why there are none.
 
     Differentiable: no. Source: accuracy and completion as in iMAP (Sucar et al. 2021), sampled as NICE-SLAM does.
     """
@@ -136,14 +87,7 @@ def mesh_scores(
     if len(mesh.faces) == 0:
         return NotComputed("the reconstructed mesh has no faces")
     ours, truth = sample_surface(mesh, n_samples, generator), sample_surface(reference, n_samples, generator)
-    wanted = truth.xyz_W
-    if observed is not None:
-        wanted = wanted[observed(wanted)]
-        if len(wanted) == 0:
-            return NotComputed("no point of the reference surface was observed")
-    to_truth = _distance(ours.xyz_W, reference, truth, distance)
-    to_ours = _distance(wanted, mesh, ours, distance)
-    return _scores(to_truth, to_ours, threshold_m, distance)
+    return _scores(_distance(ours[0], reference, truth), _distance(truth[0], mesh, ours), threshold_m)
 
 
 def sample_discs(params: GaussianParams, n: int, generator: torch.Generator) -> Float[Tensor, "n 3"]:
@@ -173,8 +117,8 @@ def disc_scores(
     generator: torch.Generator,
     threshold_m: float = 0.03,
     n_samples: int = 200_000,
-) -> GeometryScores | NotComputed:
-    """Accuracy and completion of the opaque discs against ``reference``, from samples of both.
+) -> dict[str, float] | NotComputed:
+    """Accuracy and completion of the opaque discs against ``reference``, named as by ``mesh_scores``, from samples.
 
     Args:
         params: The map.
@@ -188,27 +132,13 @@ def disc_scores(
     ours = sample_discs(params, n_samples, generator)
     if not len(ours):
         return NotComputed("the map has no opaque Gaussian")
-    truth = sample_surface(reference, n_samples, generator).xyz_W
-    return _scores(_to_nearest(ours, truth), _to_nearest(truth, ours), threshold_m, "samples")
-
-
-@dataclass(frozen=True, kw_only=True)
-class OwnMeshDistance:
-    """Distance of Gaussian centres from samples of the mesh of the same run."""
-
-    mean_m: float
-    """Mean distance, metres ("L1 SCD" of the released evaluation)."""
-    mean_square_m2: float
-    """Mean squared distance, square metres ("L2 SCD")."""
-
-    def as_metrics(self) -> dict[str, float]:
-        """The numbers with the names of the metrics table."""
-        return {"centres_to_own_mesh_m": self.mean_m, "centres_to_own_mesh_m2": self.mean_square_m2}
+    truth, _ = sample_surface(reference, n_samples, generator)
+    return _scores(_to_nearest(ours, truth), _to_nearest(truth, ours), threshold_m)
 
 
 def centres_to_own_mesh(
     params: GaussianParams, mesh: Mesh, *, generator: torch.Generator
-) -> OwnMeshDistance | NotComputed:
+) -> tuple[float, float] | NotComputed:
     """How far the Gaussian centres are from the run's own mesh, as GSFusion's released evaluation measures it.
 
     One way only, from every centre (also of transparent Gaussians) to the nearest of the points drawn on the mesh, one
@@ -222,7 +152,8 @@ def centres_to_own_mesh(
         generator: Draws the samples.
 
     Returns:
-        The distances, or the reason why there are none.
+        Mean distance, metres ("L1 SCD" of the released evaluation), and mean squared distance, square metres ("L2
+        SCD"), or the reason why there are none.
 
     Differentiable: no. Source: GSFusion's released evaluation (``eval_pcd.py``).
     """
@@ -233,11 +164,11 @@ def centres_to_own_mesh(
     n = int(_areas(_corners(mesh)).sum() * SAMPLES_PER_M2)
     if n == 0:
         return NotComputed("the run's mesh is smaller than 1 cm^2")
-    distance = _to_nearest(params.xyz_W.double(), sample_surface(mesh, n, generator).xyz_W)
-    return OwnMeshDistance(mean_m=float(distance.mean()), mean_square_m2=float(distance.square().mean()))
+    distance = _to_nearest(params.xyz_W.double(), sample_surface(mesh, n, generator)[0])
+    return float(distance.mean()), float(distance.square().mean())
 
 
-def mesh_psnr(mesh: Mesh, frames: Iterable[Frame], *, near_m: float = NEAR_M) -> float | NotComputed:
+def mesh_psnr(mesh: Mesh, frames: Iterable[Frame]) -> float | NotComputed:
     """PSNR between the vertices of a mesh and the pixels that show them, dB, mean of the views.
 
     A vertex is compared with the pixel that contains its projection, if the depth there is that of the vertex. What the
@@ -246,7 +177,6 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame], *, near_m: float = NEAR_M) ->
     Args:
         mesh: The mesh; its colours are clamped to 0..1 and rounded to 8 bits, as in ``mesh.ply``.
         frames: The views, with poses in the frame of the mesh; one pass.
-        near_m: Largest difference between the depth of the vertex and of the pixel, metres.
 
     Returns:
         Decibels, or the reason why there are none. Views that show no vertex do not count.
@@ -255,39 +185,35 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame], *, near_m: float = NEAR_M) ->
     """
     scores = []
     for frame in frames:
-        shown, pixels = _pairs(mesh, frame.to(mesh.vertices_W.device), near_m)
-        if len(shown):
-            scores.append(psnr(shown[None], pixels[None]))
+        frame = frame.to(mesh.vertices_W.device)
+        xyz_C = se3.apply(se3.inverse(frame.T_WC.to(mesh.vertices_W)), mesh.vertices_W)
+        rows, at = _in_view(xyz_C, frame.camera)
+        depth_m = frame.depth_m[at]
+        near = (depth_m > 0) & ((depth_m - xyz_C[rows, 2]).abs() < NEAR_M)
+        if bool(near.any()):
+            scores.append(psnr(mesh.rgb[rows[near]][None], frame.rgb[at][near][None]))
     if not scores:
         return NotComputed("no view shows a vertex of the mesh")
     return math.fsum(scores) / len(scores)
 
 
-def _pairs(mesh: Mesh, frame: Frame, near_m: float) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
-    """Colours of the vertices that the frame shows, and of their pixels."""
-    xyz_C = se3.apply(se3.inverse(frame.T_WC.to(mesh.vertices_W)), mesh.vertices_W)
+def _in_view(xyz_C: Float[Tensor, "N 3"], camera: Camera) -> tuple[Int[Tensor, " M"], tuple[Tensor, Tensor]]:
+    """Which points of a camera's frame are inside its image, and row and column of their pixels."""
     rows = (xyz_C[:, 2] > 1e-6).nonzero()[:, 0]
-    uv = project(frame.camera, xyz_C[rows])
-    size = torch.tensor([frame.camera.width, frame.camera.height], device=uv.device)
-    inside = ((uv >= 0) & (uv < size)).all(dim=1)
-    rows, (column, row) = rows[inside], uv[inside].long().unbind(1)
-    depth_m = frame.depth_m[row, column]
-    seen = (depth_m > 0) & ((depth_m - xyz_C[rows, 2]).abs() < near_m)
-    return mesh.rgb[rows[seen]], frame.rgb[row[seen], column[seen]]
+    uv = project(camera, xyz_C[rows])
+    inside = ((uv >= 0) & (uv < torch.tensor([camera.width, camera.height], device=uv.device))).all(dim=1)
+    column, row = uv[inside].long().unbind(1)
+    return rows[inside], (row, column)
 
 
-def seen_by(
-    xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame], *, tolerance_m: float = 0.05, far_m: float = math.inf
-) -> Bool[Tensor, " N"]:
-    """Points that at least one frame shows: inside its image, and not behind the measured depth (plus a tolerance).
+def seen_by(xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame]) -> Bool[Tensor, " N"]:
+    """Points that at least one frame shows: inside its image, and at most 5 cm behind the measured depth.
 
     A pixel without measured depth shows nothing. The frames are read one by one.
 
     Args:
         xyz_W: Points, metres. [N, 3]
         frames: The observations; one pass.
-        tolerance_m: How far behind the measured depth a point still counts as seen, metres.
-        far_m: Points farther than this from the camera plane do not count, metres.
 
     Differentiable: no.
     """
@@ -297,26 +223,20 @@ def seen_by(
         if len(left) == 0:
             break
         xyz_C = se3.apply(se3.inverse(frame.T_WC.to(xyz_W)), xyz_W[left])
-        z = xyz_C[:, 2]
-        uv = project(frame.camera, torch.where(z[:, None] > 1e-6, xyz_C, torch.ones_like(xyz_C)))
-        inside = (z > 1e-6) & (z <= far_m) & (uv >= 0).all(1)
-        inside &= (uv[:, 0] < frame.camera.width) & (uv[:, 1] < frame.camera.height)
-        left, z = left[inside], z[inside]
-        column, row = uv[inside].long().unbind(1)
-        measured = frame.depth_m.to(xyz_W)[row, column]
-        seen[left[(measured > 0) & (z <= measured + tolerance_m)]] = True
+        rows, at = _in_view(xyz_C, frame.camera)
+        measured = frame.depth_m.to(xyz_W)[at]
+        seen[left[rows[(measured > 0) & (xyz_C[rows, 2] <= measured + BEHIND_M)]]] = True
     return seen
 
 
-def cull_unseen(mesh: Mesh, frames: Iterable[Frame], *, tolerance_m: float = 0.05, far_m: float = math.inf) -> Mesh:
+def cull_unseen(mesh: Mesh, frames: Iterable[Frame]) -> Mesh:
     """The part of ``mesh`` that the frames show: faces of which a corner or the centroid is ``seen_by`` one of them.
 
-    For meshes of small triangles; a wall of two triangles is kept completely if one of its corners is seen. For scores,
-    pass ``observed`` to ``mesh_scores`` instead, which decides for each point.
+    For meshes of small triangles; a wall of two triangles is kept completely if one of its corners is seen.
     """
     n = len(mesh.vertices_W)
     centroids = _corners(mesh).mean(1).to(mesh.vertices_W)
-    seen = seen_by(torch.cat([mesh.vertices_W, centroids]), frames, tolerance_m=tolerance_m, far_m=far_m)
+    seen = seen_by(torch.cat([mesh.vertices_W, centroids]), frames)
     faces = mesh.faces[seen[:n][mesh.faces.long()].any(1) | seen[n:]]
     used, renumbered = torch.unique(faces, return_inverse=True)
     return Mesh(vertices_W=mesh.vertices_W[used.long()], faces=renumbered.to(mesh.faces), rgb=mesh.rgb[used.long()])
@@ -361,27 +281,26 @@ def _to_nearest(xyz: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Floa
     return torch.from_numpy(KDTree(points.cpu().numpy()).query(xyz.cpu().numpy())[0])
 
 
-def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float, distance: str) -> GeometryScores:
-    return GeometryScores(
-        accuracy_m=float(to_truth.mean()),
-        completion_m=float(to_ours.mean()),
-        precision=float((to_truth < threshold_m).double().mean()),
-        completion_ratio=float((to_ours < threshold_m).double().mean()),
-        threshold_m=threshold_m,
-        distance=distance,
-    )
+def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> dict[str, float]:
+    precision, recall = (float((distance < threshold_m).double().mean()) for distance in (to_truth, to_ours))
+    return {
+        "accuracy_m": float(to_truth.mean()),
+        "completion_m": float(to_ours.mean()),
+        "precision": precision,
+        "completion_ratio": recall,
+        "f_score": 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0,
+        "threshold_m": threshold_m,
+    }
 
 
-def _distance(xyz: Tensor, mesh: Mesh, samples: SurfaceSamples, kind: str) -> Tensor:
+def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor:
     """Distance of each point to ``mesh``, found through its ``samples``."""
     from scipy.spatial import KDTree
 
-    if kind == "samples":
-        return _to_nearest(xyz, samples.xyz_W)
     corners = _corners(mesh).cpu()
     # samples represent large triangles, centroids those too small to have a sample
-    points = torch.cat([samples.xyz_W.cpu(), corners.mean(1)])
-    faces = torch.cat([samples.face.cpu(), torch.arange(len(corners))])
+    points = torch.cat([samples[0].cpu(), corners.mean(1)])
+    faces = torch.cat([samples[1].cpu(), torch.arange(len(corners))])
     k = min(NEIGHBOURS, len(points))
     index = KDTree(points.numpy()).query(xyz.cpu().numpy(), k=k)[1]
     candidates = faces[torch.from_numpy(index).reshape(len(xyz), k)]

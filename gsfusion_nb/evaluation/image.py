@@ -31,10 +31,10 @@ def to_8bit_grid(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
     return (rgb.clamp(0, 1) * 255 + 0.5).floor() / 255
 
 
-def _prepared(rgb: Tensor, reference: Tensor, quantise: bool) -> tuple[Tensor, Tensor]:
+def _prepared(rgb: Tensor, reference: Tensor) -> tuple[Tensor, Tensor]:
+    """Both rounded to 8 bits, as when a render is stored and read back before it is scored."""
     check_shape("rgb", rgb, tuple(reference.shape))
-    grid = to_8bit_grid if quantise else (lambda image: image.clamp(0, 1))
-    return grid(rgb), grid(reference)
+    return to_8bit_grid(rgb), to_8bit_grid(reference)
 
 
 def _mean(values: Tensor) -> float:
@@ -42,25 +42,24 @@ def _mean(values: Tensor) -> float:
     return float(sum_rows(values.double().flatten()) / values.numel())
 
 
-def psnr(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True) -> float:
+def psnr(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float:
     """Peak signal-to-noise ratio, dB:  -10 log10 mean((a - b)^2), data range 1.
 
     Args:
-        rgb: Image, 0..1 (clamped). [H, W, 3]
+        rgb: Image, 0..1 (clamped, and rounded to 8 bits, as all metrics do). [H, W, 3]
         reference: The image to compare with. [H, W, 3]
-        quantise: Round both to 8 bits first, as when a render is stored and read back before it is scored.
 
     Returns:
         Decibels; infinite for equal images.
 
     Differentiable: no. Source: the protocol of GSFusion's evaluation (torchmetrics, data range 1, 8-bit images).
     """
-    a, b = _prepared(rgb, reference, quantise)
+    a, b = _prepared(rgb, reference)
     mse = _mean((a.double() - b.double()).square())
     return math.inf if mse == 0 else -10.0 * math.log10(mse)
 
 
-def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True) -> float:
+def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float:
     """Structural similarity: mean over pixels and channels of the map with an 11x11 Gaussian window, sigma 1.5.
 
     C1 = 0.01^2, C2 = 0.03^2, reflected borders, population variances; the whole map is averaged, as torchmetrics does
@@ -69,17 +68,16 @@ def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quan
     Args:
         rgb: Image, 0..1 (clamped); at least 6 pixels on each side. [H, W, 3]
         reference: The image to compare with. [H, W, 3]
-        quantise: Round both to 8 bits first.
 
     Returns:
         Between -1 and 1; 1 for equal images.
 
     Differentiable: no. Source: Wang et al. 2004.
     """
-    return _mean(_ssim_map(rgb, reference, quantise))
+    return _mean(_ssim_map(rgb, reference))
 
 
-def ssim_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True) -> float:
+def ssim_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float:
     """SSIM as in GSFusion's published tables: ``ssim`` without a border of 5 pixels, where the window is cut.
 
     torchmetrics up to 1.4 and scikit-image leave this border out, and the evaluation released with GSFusion uses
@@ -89,11 +87,11 @@ def ssim_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 
 
     Differentiable: no. Source: GSFusion's released evaluation.
     """
-    return _mean(_without_border(_ssim_map(rgb, reference, quantise, BORDER_PX + 6)))
+    return _mean(_without_border(_ssim_map(rgb, reference, BORDER_PX + 6)))
 
 
-def _ssim_map(rgb: Tensor, reference: Tensor, quantise: bool, smallest: int = 6) -> Float[Tensor, "1 3 H W"]:
-    a, b = _prepared(rgb, reference, quantise)
+def _ssim_map(rgb: Tensor, reference: Tensor, smallest: int = 6) -> Float[Tensor, "1 3 H W"]:
+    a, b = _prepared(rgb, reference)
     if min(a.shape[:2]) < smallest:
         raise ValueError(f"rgb must be at least {smallest} pixels high and wide for an 11x11 window, got {[*a.shape]}")
     from kornia.metrics import ssim as ssim_map
@@ -106,9 +104,7 @@ def _without_border(image: Tensor) -> Tensor:
     return image[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
 
 
-def lpips(
-    rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True
-) -> float | NotComputed:
+def lpips(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float | NotComputed:
     """Learned perceptual distance with AlexNet features; 0 for equal images, lower is better.
 
     Images are given to the network as RGB in -1..1, as it was trained.
@@ -119,13 +115,11 @@ def lpips(
 
     Differentiable: no. Source: Zhang et al. 2018, linear weights of release 0.1.
     """
-    a, b = _prepared(rgb, reference, quantise)
+    a, b = _prepared(rgb, reference)
     return _network_distance(a * 2 - 1, b * 2 - 1)
 
 
-def lpips_as_released(
-    rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True
-) -> float | NotComputed:
+def lpips_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float | NotComputed:
     """LPIPS as in GSFusion's published tables: the same network, given BGR in 0..1 instead of RGB in -1..1.
 
     The released evaluation reads images with OpenCV, which gives BGR, and leaves them in 0..1, where the network
@@ -134,7 +128,7 @@ def lpips_as_released(
 
     Differentiable: no. Source: GSFusion's released evaluation.
     """
-    a, b = _prepared(rgb, reference, quantise)
+    a, b = _prepared(rgb, reference)
     return _network_distance(a.flip(-1), b.flip(-1))
 
 
@@ -211,8 +205,6 @@ class ViewScores:
     lpips_as_released: float | NotComputed
     depth_l1_m: float
     """Metres; NaN if no pixel has both depths."""
-    depth_share: float
-    """Share of pixels with both a measured and a rendered depth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,45 +219,20 @@ class ImageScores:
     @property
     def psnr(self) -> float | NotComputed:
         """Mean of the per-image PSNR, dB."""
-        return self._mean("psnr")
+        return self.mean("psnr")
 
     @property
     def ssim(self) -> float | NotComputed:
         """Mean SSIM."""
-        return self._mean("ssim")
-
-    @property
-    def lpips(self) -> float | NotComputed:
-        """Mean LPIPS."""
-        return self._mean("lpips")
-
-    @property
-    def ssim_as_released(self) -> float | NotComputed:
-        """Mean of ``evaluation.ssim_as_released``."""
-        return self._mean("ssim_as_released")
-
-    @property
-    def lpips_as_released(self) -> float | NotComputed:
-        """Mean of ``evaluation.lpips_as_released``."""
-        return self._mean("lpips_as_released")
+        return self.mean("ssim")
 
     @property
     def depth_l1_m(self) -> float | NotComputed:
         """Mean of the per-image depth error, metres; views without common depth do not count."""
-        return self._mean("depth_l1_m")
+        return self.mean("depth_l1_m")
 
-    def as_metrics(self, suffix: str) -> dict[str, float | NotComputed]:
-        """The means with the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out"."""
-        return {
-            f"psnr_{suffix}_db": self.psnr,
-            f"ssim_{suffix}": self.ssim,
-            f"lpips_{suffix}": self.lpips,
-            f"ssim_as_released_{suffix}": self.ssim_as_released,
-            f"lpips_as_released_{suffix}": self.lpips_as_released,
-            f"depth_l1_{suffix}_m": self.depth_l1_m,
-        }
-
-    def _mean(self, name: str) -> float | NotComputed:
+    def mean(self, name: str) -> float | NotComputed:
+        """Mean of a field of ``ViewScores`` over the views that have it, or the reason why there is none."""
         values = [getattr(row, name) for row in self.rows]
         missing = [v for v in values if isinstance(v, NotComputed)]
         if missing:
@@ -276,36 +243,43 @@ class ImageScores:
             return NotComputed(reason if values else "no view to score")
         return sum(known) / len(known)
 
+    def as_metrics(self, suffix: str) -> dict[str, float | NotComputed]:
+        """The means with the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out"."""
+        return {
+            f"psnr_{suffix}_db": self.psnr,
+            f"ssim_{suffix}": self.ssim,
+            f"lpips_{suffix}": self.mean("lpips"),
+            f"ssim_as_released_{suffix}": self.mean("ssim_as_released"),
+            f"lpips_as_released_{suffix}": self.mean("lpips_as_released"),
+            f"depth_l1_{suffix}_m": self.depth_l1_m,
+        }
 
-def score_view(view: RenderOutput, frame: Frame, *, with_lpips: bool = False, quantise: bool = True) -> ViewScores:
+
+def score_view(view: RenderOutput, frame: Frame, *, with_lpips: bool = False) -> ViewScores:
     """Compare the map's picture of one view with the frame; arguments and scores are those of ``score_views``."""
     frame = frame.to(view.rgb.device)
     images, side = (view.rgb, frame.rgb), min(frame.rgb.shape[:2])
-    l1_m, share = depth_l1_m(expected_depth_m(view), frame.depth_m)
-    similarity = _ssim_map(*images, quantise) if side >= 6 else torch.full((1, 3, 1, 1), math.nan)
+    l1_m, _ = depth_l1_m(expected_depth_m(view), frame.depth_m)
+    similarity = _ssim_map(*images) if side >= 6 else torch.full((1, 3, 1, 1), math.nan)
     not_requested = NotComputed("not requested")
     return ViewScores(
         index=frame.index,
-        psnr=psnr(*images, quantise=quantise),
+        psnr=psnr(*images),
         ssim=_mean(similarity),
-        lpips=lpips(*images, quantise=quantise) if with_lpips else not_requested,
+        lpips=lpips(*images) if with_lpips else not_requested,
         ssim_as_released=_mean(_without_border(similarity)) if side > 2 * BORDER_PX else math.nan,
-        lpips_as_released=lpips_as_released(*images, quantise=quantise) if with_lpips else not_requested,
+        lpips_as_released=lpips_as_released(*images) if with_lpips else not_requested,
         depth_l1_m=l1_m,
-        depth_share=share,
     )
 
 
-def score_views(
-    render_fn: RenderFn, frames: Iterable[Frame], *, with_lpips: bool = False, quantise: bool = True
-) -> ImageScores:
+def score_views(render_fn: RenderFn, frames: Iterable[Frame], *, with_lpips: bool = False) -> ImageScores:
     """Render every frame's view and compare it with the frame, reading the frames one by one.
 
     Args:
         render_fn: ``(camera, T_WC) -> RenderOutput``.
         frames: The views to score, in any order; only one is held in memory at a time.
         with_lpips: Also compute LPIPS, both ways (about 0.2 s per view on a CPU).
-        quantise: Round images to 8 bits first.
 
     Returns:
         One row per frame. Depth is compared where the opacity of the map is at least 0.5.
@@ -314,5 +288,5 @@ def score_views(
     for frame in frames:
         with torch.no_grad():
             view = render_fn(frame.camera, frame.T_WC)
-        rows.append(score_view(view, frame, with_lpips=with_lpips, quantise=quantise))
+        rows.append(score_view(view, frame, with_lpips=with_lpips))
     return ImageScores(rows=tuple(rows))

@@ -36,23 +36,45 @@ class Metric:
     """Explanation in one sentence."""
 
 
+def _cm(label: str, meaning: str = "") -> Metric:
+    return Metric(label, "cm", 2, 100.0, meaning)
+
+
+def _count(label: str, meaning: str = "", unit: str = "") -> Metric:
+    return Metric(label, unit, 0, 1.0, meaning)
+
+
+def _share(label: str, meaning: str) -> Metric:
+    return Metric(label, "%", 1, 100.0, meaning)
+
+
+def _index(label: str, meaning: str) -> Metric:
+    return Metric(label, "", 3, 1.0, meaning)
+
+
 def _image_metrics(suffix: str) -> dict[str, Metric]:
+    released = "as GSFusion's evaluation"
+    psnr = "Mean of the per-image PSNR, 8-bit images. Higher is better."
+    border, bgr = "Without a border of 5 pixels.", "From BGR in 0..1."
     return {
-        f"psnr_{suffix}_db": Metric(
-            "PSNR", "dB", 2, 1.0, "Mean of the per-image PSNR, 8-bit images. Higher is better."
-        ),
-        f"ssim_{suffix}": Metric("SSIM", "", 3, 1.0, "Structural similarity, 11x11 Gaussian window. 1 is perfect."),
-        f"lpips_{suffix}": Metric("LPIPS", "", 3, 1.0, "Learned perceptual distance, AlexNet. Lower is better."),
-        f"ssim_as_released_{suffix}": Metric(
-            "SSIM as GSFusion's evaluation", "", 3, 1.0, "Without a border of 5 pixels. Only for published tables."
-        ),
-        f"lpips_as_released_{suffix}": Metric(
-            "LPIPS as GSFusion's evaluation", "", 3, 1.0, "From BGR in 0..1. Only for published tables."
-        ),
-        f"depth_l1_{suffix}_m": Metric(
-            "Depth error", "cm", 2, 100.0, "Mean |rendered - measured depth| where both exist."
-        ),
-        f"n_views_{suffix}": Metric("Views scored", "", 0),
+        f"psnr_{suffix}_db": Metric("PSNR", "dB", 2, 1.0, psnr),
+        f"ssim_{suffix}": _index("SSIM", "Structural similarity, 11x11 Gaussian window. 1 is perfect."),
+        f"lpips_{suffix}": _index("LPIPS", "Learned perceptual distance, AlexNet. Lower is better."),
+        f"ssim_as_released_{suffix}": _index(f"SSIM {released}", f"{border} Only for published tables."),
+        f"lpips_as_released_{suffix}": _index(f"LPIPS {released}", f"{bgr} Only for published tables."),
+        f"depth_l1_{suffix}_m": _cm("Depth error", "Mean |rendered - measured depth| where both exist."),
+        f"n_views_{suffix}": _count("Views scored"),
+    }
+
+
+def _geometry_metrics(prefix: str, ours: str) -> dict[str, Metric]:
+    return {
+        f"{prefix}_accuracy_m": _cm("Accuracy", f"Mean distance from {ours} to the true surface."),
+        f"{prefix}_completion_m": _cm("Completion", f"Mean distance from the true surface to {ours}."),
+        f"{prefix}_precision": _share("Precision", f"Share of {ours} within the threshold of the truth."),
+        f"{prefix}_completion_ratio": _share("Completion ratio", "Share of the true surface within the threshold."),
+        f"{prefix}_f_score": _index("F-score", "Harmonic mean of precision and completion ratio."),
+        f"{prefix}_threshold_m": Metric("Threshold", "cm", 1, 100.0),
     }
 
 
@@ -60,12 +82,18 @@ _AT_THE_END = "Of the map at the end of the sequence."
 ONLINE = {
     "psnr_held_out_online_db": Metric("PSNR, held out", "dB", 2, 1.0, _AT_THE_END),
     "psnr_mapped_online_db": Metric("PSNR, mapped", "dB", 2, 1.0, _AT_THE_END),
-    "ssim_held_out_online": Metric("SSIM, held out", "", 3, 1.0, _AT_THE_END),
-    "ssim_mapped_online": Metric("SSIM, mapped", "", 3, 1.0, _AT_THE_END),
-    "depth_l1_held_out_online_m": Metric("Depth error, held out", "cm", 2, 100.0, _AT_THE_END),
+    "ssim_held_out_online": _index("SSIM, held out", _AT_THE_END),
+    "ssim_mapped_online": _index("SSIM, mapped", _AT_THE_END),
+    "depth_l1_held_out_online_m": _cm("Depth error, held out", _AT_THE_END),
 }
 """What is kept of the scores before the passes after the scan."""
 
+_COLOURS = "Colours of the vertices and of the pixels that show them, mean of the views."
+_TOTAL = "Mapped frames divided by the sum of their times."
+_MEAN_INVERSE = "As in the GSFusion paper; never below frames / total time."
+_PEAK = "Largest resident memory of the process, or GPU memory."
+_DRIFT = "Between the last estimated and the last true camera centre; the first pose is given by the data."
+_DEGENERATE = "A direction of motion could not be measured and was taken from the prediction."
 METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Novel views (held out)": _image_metrics("held_out"),
     "Novel views, each pose fitted to the map": _image_metrics("held_out_aligned"),
@@ -74,92 +102,50 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Mapped views": _image_metrics("mapped"),
     "Before the global optimisation": ONLINE,
     "Maps": {
-        "n_gaussians": Metric("Gaussians", "", 0),
+        "n_gaussians": _count("Gaussians"),
         "model_size_mb": Metric("Model size", "MB", 1, 1.0, "Size of gaussians.ply; 1 MB is a million bytes."),
-        "n_stable_opaque": Metric("Stable opaque", "", 0),
-        "n_stable_transparent": Metric("Stable transparent", "", 0),
-        "n_unstable_opaque": Metric("Unstable opaque", "", 0),
-        "n_unstable_transparent": Metric("Unstable transparent", "", 0),
-        "n_keyframes": Metric("Keyframes", "", 0),
-        "n_frames": Metric("Frames mapped", "", 0),
-        "n_blocks": Metric("Voxel blocks", "", 0),
-        "n_triangles": Metric("Mesh triangles", "", 0),
+        "n_stable_opaque": _count("Stable opaque"),
+        "n_stable_transparent": _count("Stable transparent"),
+        "n_unstable_opaque": _count("Unstable opaque"),
+        "n_unstable_transparent": _count("Unstable transparent"),
+        "n_keyframes": _count("Keyframes"),
+        "n_frames": _count("Frames mapped"),
+        "n_blocks": _count("Voxel blocks"),
+        "n_triangles": _count("Mesh triangles"),
         "loss": Metric("Loss, instead of the system's own"),
         "optimiser": Metric("Optimiser, instead of Adam"),
     },
     "Speed and memory": {
-        "fps_total": Metric(
-            "Speed, frames / total time", "frames/s", 2, 1.0, "Mapped frames divided by the sum of their times."
-        ),
-        "fps_mean_inverse": Metric(
-            "Speed, mean of 1/dt", "frames/s", 2, 1.0, "As in the GSFusion paper; never below frames / total time."
-        ),
+        "fps_total": Metric("Speed, frames / total time", "frames/s", 2, 1.0, _TOTAL),
+        "fps_mean_inverse": Metric("Speed, mean of 1/dt", "frames/s", 2, 1.0, _MEAN_INVERSE),
         "fps_mapping": Metric("Speed, mapping alone", "frames/s", 2, 1.0, "Without the time of tracking."),
         "fps_tracking": Metric("Speed, tracking alone", "frames/s", 2),
         "seconds_online": Metric("Online mapping", "s", 1),
         "seconds_global": Metric("Global optimisation", "s", 1),
         "seconds_total": Metric("Whole run", "s", 1),
-        "peak_memory_mb": Metric("Peak memory", "MB", 0, 1.0, "Largest resident memory of the process, or GPU memory."),
+        "peak_memory_mb": _count("Peak memory", _PEAK, "MB"),
     },
     "Stream": {
-        "n_frames_received": Metric("Frames received", "", 0),
-        "n_frames_dropped": Metric(
-            "Frames dropped", "", 0, 1.0, "They arrived while mapping was still busy with earlier frames."
-        ),
-        "n_frames_unusable": Metric("Frames unusable", "", 0),
+        "n_frames_received": _count("Frames received"),
+        "n_frames_dropped": _count("Frames dropped", "They arrived while mapping was still busy with earlier frames."),
+        "n_frames_unusable": _count("Frames unusable"),
     },
-    "Mesh against held-out views": {
-        "mesh_psnr_held_out_db": Metric(
-            "PSNR", "dB", 2, 1.0, "Colours of the vertices and of the pixels that show them, mean of the views."
-        ),
-    },
-    "Mesh against ground truth": {
-        "mesh_accuracy_m": Metric("Accuracy", "cm", 2, 100.0, "Mean distance from our mesh to the true surface."),
-        "mesh_completion_m": Metric("Completion", "cm", 2, 100.0, "Mean distance from the true surface to our mesh."),
-        "mesh_precision": Metric("Precision", "%", 1, 100.0, "Share of our mesh within the threshold of the truth."),
-        "mesh_completion_ratio": Metric(
-            "Completion ratio", "%", 1, 100.0, "Share of the true surface within the threshold of our mesh."
-        ),
-        "mesh_f_score": Metric("F-score", "", 3, 1.0, "Harmonic mean of precision and completion ratio."),
-        "mesh_threshold_m": Metric("Threshold", "cm", 1, 100.0),
-    },
+    "Mesh against held-out views": {"mesh_psnr_held_out_db": Metric("PSNR", "dB", 2, 1.0, _COLOURS)},
+    "Mesh against ground truth": _geometry_metrics("mesh", "our mesh"),
     "Gaussian centres against the run's own mesh, as GSFusion's evaluation": {
-        "centres_to_own_mesh_m": Metric(
-            "Mean distance", "cm", 2, 100.0, "To samples of our own mesh: agreement of the two maps, not accuracy."
+        "centres_to_own_mesh_m": _cm(
+            "Mean distance", "To samples of our own mesh: agreement of the maps, not accuracy."
         ),
         "centres_to_own_mesh_m2": Metric("Mean squared distance", "cm²", 2, 1e4),
     },
-    "Discs against ground truth": {
-        "disc_accuracy_m": Metric(
-            "Accuracy", "cm", 2, 100.0, "Mean distance from the opaque discs, to one sigma, to the true surface."
-        ),
-        "disc_completion_m": Metric("Completion", "cm", 2, 100.0, "Mean distance from the true surface to the discs."),
-        "disc_precision": Metric("Accuracy ratio", "%", 1, 100.0, "Share of the discs within the threshold."),
-        "disc_completion_ratio": Metric("Completion ratio", "%", 1, 100.0, "Share of the true surface within it."),
-        "disc_f_score": Metric("F-score", "", 3, 1.0, "Harmonic mean of the two ratios."),
-        "disc_threshold_m": Metric("Threshold", "cm", 1, 100.0),
-    },
+    "Discs against ground truth": _geometry_metrics("disc", "the opaque discs, to one sigma,"),
     "Trajectory": {
-        "ate_rmse_m": Metric(
-            "ATE RMSE", "cm", 2, 100.0, "Root mean square distance of camera centres after alignment."
-        ),
-        "ate_mean_m": Metric("ATE mean", "cm", 2, 100.0, "Mean distance of camera centres after alignment."),
-        "drift_m": Metric(
-            "Drift at the end",
-            "cm",
-            2,
-            100.0,
-            "Distance between the last estimated and the last true camera centre; the first pose is given by the data.",
-        ),
-        "rpe_translation_m": Metric("RPE, translation", "cm", 2, 100.0, "Root mean square, frame to frame."),
-        "n_recovered": Metric("Tracking recovered", "frames", 0),
-        "n_degenerate": Metric(
-            "Degenerate motion",
-            "frames",
-            0,
-            1.0,
-            "Frames in which a direction of motion could not be measured and was taken from the prediction.",
-        ),
+        "ate_rmse_m": _cm("ATE RMSE", "Root mean square distance of camera centres after alignment."),
+        "ate_mean_m": _cm("ATE mean", "Mean distance of camera centres after alignment."),
+        "drift_m": _cm("Drift at the end", _DRIFT),
+        "rpe_translation_m": _cm("RPE, translation", "Root mean square, frame to frame."),
+        "n_recovered": _count("Tracking recovered", unit="frames"),
+        "n_degenerate": _count("Degenerate motion", _DEGENERATE, "frames"),
         "rpe_rotation_deg": Metric("RPE, rotation", "°", 3, 1.0, "Root mean square, frame to frame."),
     },
 }

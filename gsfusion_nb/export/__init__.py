@@ -1,12 +1,7 @@
 """Files for other programs (Gaussians, meshes, both in one glTF file, trajectories) and checkpoints, all atomic."""
 
 from .checkpoint_store import CheckpointStore as CheckpointStore
-from .checkpoint_store import Saved as Saved
-from .gaussian_files import read_gaussians as read_gaussians
-from .map_glb import read_map_glb as read_map_glb
-from .map_glb import up_of_map_glb as up_of_map_glb
-from .map_glb import write_map_glb as write_map_glb
-from .map_glb import write_mesh_glb as write_mesh_glb
+from .glb import write_map_glb as write_map_glb
 from .ply import read_gaussian_ply as read_gaussian_ply
 from .ply import read_mesh_ply as read_mesh_ply
 from .ply import write_gaussian_ply as write_gaussian_ply

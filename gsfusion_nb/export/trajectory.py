@@ -9,9 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..errors import shown
-from ..files import write_file
-from ..foreign import read_text
+from ..checks import shown
+from ..files import read_text, write_file
 from ..geometry import quaternion
 
 

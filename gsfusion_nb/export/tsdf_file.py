@@ -6,9 +6,7 @@ multiples of 1/32767, ``W`` [V] float16 and ``rgb`` [3, V] uint8. ``voxel_size_m
 they are. The rounding of D is 1/32767 of the truncation distance; that of a colour is half a level of 255.
 """
 
-import io
 import math
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +15,18 @@ import torch
 from torch import Tensor
 
 from ..config import TsdfConfig, to_dict
-from ..constants import VOXELS_PER_BLOCK
-from ..errors import SequenceError
-from ..files import atomic_file
-from ..foreign import open_archive, parsing, read_member
+from ..files import SequenceError, atomic_file, open_regular, parsing
 from ..tsdf import TsdfVolume
+from ..tsdf.block_pool import VOXELS_PER_BLOCK
 
 WHAT = "the TSDF of a run, written by write_tsdf"
 D_LEVELS, RGB_LEVELS = 32767.0, 255.0
-MOST_BLOCKS = 1 << 22
-"""Blocks in a file: 40 GB of memory."""
-_HEADER = 4096
 _LEAST_W, _MOST_W = 2.0**-14, 65504.0
 """Half-precision weights stay positive and finite."""
 
 
 def write_tsdf(path: str | Path, volume: TsdfVolume) -> None:
-    """Write the observed voxels of a volume, atomically; about 4 bytes for each (``docs/outputs.md``)."""
+    """Write the observed voxels of a volume, atomically; about 4 bytes for each."""
     observed = volume.W > 0
     columns = {
         "voxel_size_m": np.float64(volume.config.voxel_size_m),
@@ -42,8 +35,8 @@ def write_tsdf(path: str | Path, volume: TsdfVolume) -> None:
         "observed": np.packbits(observed.cpu().numpy(), axis=1),
         "D": _levels(volume.D[observed], D_LEVELS).to(torch.int16).cpu().numpy().astype("<i2"),
         "W": _half(volume.W[observed]).cpu().numpy().astype("<f2"),
-        "rgb": torch.stack([_levels(plane[observed], RGB_LEVELS).to(torch.uint8) for plane in _planes(volume)])
-        .cpu()
+        "rgb": torch.stack([_levels(plane[observed], RGB_LEVELS) for plane in volume.rgb_planes.unbind(1)])
+        .to("cpu", torch.uint8)
         .numpy(),
     }
     with atomic_file(path) as temporary:
@@ -62,28 +55,24 @@ def read_tsdf(path: str | Path, config: TsdfConfig, device: torch.device | str =
         FileNotFoundError: no such file. ValueError: another file, a damaged one, or voxels of another size.
     """
     path = Path(path)
-    with open_archive(path, WHAT) as archive, parsing(path, WHAT):
+    with open_regular(path, WHAT) as file, parsing(path, WHAT), np.load(file, allow_pickle=False) as archive:
         for name, wanted in (("voxel_size_m", config.voxel_size_m), ("truncation_m", config.truncation_m)):
-            stored = float(_array(archive, name, path, 8, "<f8", ()))
-            if not math.isclose(stored, wanted, rel_tol=1e-9):
-                raise SequenceError(f"{path} has {name} {stored:g}, but the settings of the run say {wanted:g}")
-        coords = _array(archive, "block_coords", path, 12 * MOST_BLOCKS, "<i4", (None, 3))
-        n = len(coords)
-        bits = _array(archive, "observed", path, n * VOXELS_PER_BLOCK // 8, "|u1", (n, VOXELS_PER_BLOCK // 8))
-        observed = torch.from_numpy(np.unpackbits(bits, axis=1).astype(bool))
-        v = int(observed.sum())
-        D = _array(archive, "D", path, 2 * v, "<i2", (v,))
-        W = _array(archive, "W", path, 2 * v, "<f2", (v,))
-        rgb = _array(archive, "rgb", path, 3 * v, "|u1", (3, v))
+            if not math.isclose(float(archive[name]), wanted, rel_tol=1e-9):
+                raise SequenceError(
+                    f"{path} has {name} {float(archive[name]):g}, but the settings of the run say {wanted:g}"
+                )
+        coords, D, W, rgb = (archive[name] for name in ("block_coords", "D", "W", "rgb"))
+        observed = torch.from_numpy(np.unpackbits(archive["observed"], axis=1).astype(bool))
+    n = len(coords)
     columns: dict[str, Any] = {"D": torch.ones(n, VOXELS_PER_BLOCK), "W": torch.zeros(n, VOXELS_PER_BLOCK)}
-    columns["D"][observed] = torch.from_numpy(D.astype(np.float32)) / D_LEVELS
-    columns["W"][observed] = torch.from_numpy(W.astype(np.float32))
     planes = torch.zeros(3, n, VOXELS_PER_BLOCK)
-    for plane, values in zip(planes, rgb, strict=True):
-        plane[observed] = torch.from_numpy(values.astype(np.float32)) / RGB_LEVELS
-    state = columns | {"rgb": planes.transpose(0, 1).contiguous(), "block_coords": torch.from_numpy(coords)}
     volume = TsdfVolume(config, device)
     with parsing(path, WHAT):
+        columns["D"][observed] = torch.from_numpy(D.astype(np.float32)) / D_LEVELS
+        columns["W"][observed] = torch.from_numpy(W.astype(np.float32))
+        for plane, values in zip(planes, rgb, strict=True):
+            plane[observed] = torch.from_numpy(values.astype(np.float32)) / RGB_LEVELS
+        state = columns | {"rgb": planes.transpose(0, 1).contiguous(), "block_coords": torch.from_numpy(coords)}
         volume.load_state_dict({"config": to_dict(config), **state})
     return volume
 
@@ -100,10 +89,6 @@ def as_stored(volume: TsdfVolume) -> TsdfVolume:
     return copy
 
 
-def _planes(volume: TsdfVolume) -> tuple[Tensor, ...]:
-    return volume.rgb_planes.unbind(1)
-
-
 def _levels(values: Tensor, levels: float) -> Tensor:
     """Values as whole numbers of levels; colours beyond 0..1 and distances beyond -1..1 do not occur."""
     return (values.clamp(-1, 1) * levels).round()
@@ -111,15 +96,3 @@ def _levels(values: Tensor, levels: float) -> Tensor:
 
 def _half(W: Tensor) -> Tensor:
     return W.clamp(_LEAST_W, _MOST_W).half()
-
-
-def _array(
-    archive: zipfile.ZipFile, name: str, path: Path, at_most: int, dtype: str, shape: tuple[int | None, ...]
-) -> np.ndarray:
-    """One array of the archive, of this type and size."""
-    content = read_member(archive, f"{name}.npy", path, at_most=at_most + _HEADER)
-    array = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
-    fits = len(array.shape) == len(shape) and all(w in (None, n) for n, w in zip(array.shape, shape, strict=True))
-    if array.dtype.str != dtype or not fits:
-        raise SequenceError(f"{path}: {name} must be {dtype} {list(shape)}, got {array.dtype.str} {list(array.shape)}")
-    return array

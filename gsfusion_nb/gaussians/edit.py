@@ -14,8 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import observed
-from ..checks import check_finite, check_number, check_shape
-from ..errors import shown
+from ..checks import check_finite, check_mask, check_shape, shown
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import Seeds
@@ -25,7 +24,6 @@ STORED = {"xyz_W": (3,), "log_scale": (3,), "quat": (4,), "opacity_logit": (), "
 ACTIVATED = {"scale_m": (3,), "opacity": (), "rgb": (3,)}
 """Columns that are given as they look, and stored as the logarithm, the logit and SH coefficient 0."""
 _SAME = {"scale_m": "log_scale", "opacity": "opacity_logit", "rgb": "sh"}
-_WHOLE = ("tag", "state")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,10 +34,8 @@ class Edit:
     earlier field has added or changed rows. New rows come after the old ones: copies of ``clone``, the two halves of
     ``split`` (all first ones, then all second ones), ``add``.
 
-    Raises:
-        ValueError: a value of the wrong kind or shape, a NaN, an opacity or colour outside its range, a row in two
-            fields that contradict each other. What depends on the map (rows out of range, number of SH coefficients)
-            is checked when the edit is applied.
+    When an edit is applied, a value of the wrong kind or shape, a NaN, an opacity or colour outside its range, a row
+    that does not exist or is in two fields that contradict each other is a ``ValueError``, before anything is changed.
 
     Source: the operations of gsplat's strategies (Kerbl et al. 2023, section 5; Kheradmand et al. 2024, section 4;
     Rota Bulò et al. 2024, section 3.3); ``docs/strategies.md`` compares them one by one.
@@ -72,30 +68,6 @@ class Edit:
     min_opacity: float = 0.005
     """Lowest opacity that ``relocate`` and ``clone_shares`` give."""
 
-    def __post_init__(self):
-        for name in ("rates", "set"):
-            if not isinstance(getattr(self, name), Mapping):
-                raise ValueError(f"{name} must be a dict, got {type(getattr(self, name)).__name__}")
-        for name, factors in self.rates.items():
-            check_rate(name, factors)
-        for name, pair in self.set.items():
-            _check_set(name, pair)
-        for seen, stored in _SAME.items():
-            if seen in self.set and stored in self.set:
-                raise ValueError(f"set: {seen} and {stored} are the same numbers; give one of them")
-        if self.reset_opacity is not None:
-            _check_fraction("reset_opacity", self.reset_opacity)
-        _check_fraction("min_opacity", self.min_opacity)
-        if self.relocate is not None:
-            _check_relocate(self.relocate)
-        for name in ("clone", "split"):
-            if (rows := getattr(self, name)) is not None:
-                _check_rows(name, rows)
-        if self.keep is not None and not (isinstance(self.keep, Tensor) and self.keep.dtype == torch.bool):
-            raise ValueError(f"keep must be a boolean mask over all rows, got {_kind(self.keep)}")
-        if self.add is not None:
-            _check_add(self.add)
-
     def __bool__(self) -> bool:
         """Whether it asks for anything."""
         wanted = (self.reset_opacity, self.relocate, self.clone, self.split, self.add, self.keep)
@@ -105,121 +77,86 @@ class Edit:
         """The same edit for a map with these SH coefficients [N, K, 3], with row numbers for all masks but ``keep``.
 
         Raises:
-            ValueError: rows out of range, a mask or factors of another length, values that are not one per row, a row
-                in two fields that contradict each other, ``state`` of a map that has none.
+            ValueError: what cannot be applied to this map; the message names the field.
         """
-        n = len(sh)
         for name, factors in self.rates.items():
-            if len(factors) != n:
-                raise ValueError(f"rates: {name} must have one factor for each of the {n} rows, got {len(factors)}")
-        if "state" in self.set and not surfels:
-            raise ValueError("set: state is a column of RTG-SLAM's map; this map has none")
-        new_set = {}
-        for name, (rows, values) in self.set.items():
-            rows = _numbers(f"set: rows of {name}", rows, sh)
-            width = sh.shape[1:] if name == "sh" else STORED.get(name, ACTIVATED.get(name, ()))
-            if tuple(values.shape) != (len(rows), *width):
-                raise ValueError(f"set: {name} must be {[len(rows), *width]}, got {list(values.shape)}")
-            new_set[name] = (rows, values)
-        moved = self.relocate and tuple(_numbers("relocate", rows, sh) for rows in self.relocate)
-        clone, split = (None if r is None else _numbers(k, r, sh) for k, r in vars(self).items() if k in _COPYING)
-        if self.keep is not None and tuple(self.keep.shape) != (n,):
-            raise ValueError(f"keep must be [{n}], one for each row, got {list(self.keep.shape)}")
-        keep = None if self.keep is None else self.keep.to(sh.device)
-        resolved = dataclasses.replace(self, set=new_set, relocate=moved, clone=clone, split=split, keep=keep)
-        resolved._check_contradictions()
-        return resolved
-
-    def _check_contradictions(self) -> None:
-        """Raise ``ValueError`` if a row is in two fields that exclude each other."""
-        clone, split = self.clone, self.split
+            check_rate(name, factors, len(sh))
+        for seen, stored in _SAME.items():
+            if seen in self.set and stored in self.set:
+                raise ValueError(f"set: {seen} and {stored} are the same numbers; give one of them")
+        new_set = {name: _checked_set(name, pair, sh, surfels) for name, pair in self.set.items()}
+        for name in ("reset_opacity", "min_opacity"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < 1:
+                raise ValueError(f"{name} must lie strictly between 0 and 1, got {value}")
+        moved = None if self.relocate is None else _checked_relocate(self.relocate, sh)
+        clone, split = (
+            None if rows is None else _numbers(name, rows, sh)
+            for name, rows in (("clone", self.clone), ("split", self.split))
+        )
+        keep = self.keep
+        if keep is not None:
+            check_mask("keep", keep, (len(sh),))
+            keep = keep.to(sh.device)
+        if self.add is not None:
+            _check_add(self.add)
         if clone is not None and split is not None and (both := clone[torch.isin(clone, split)]).numel():
             raise ValueError(f"row {int(both[0])} is both cloned and split; do one of them")
-        if self.keep is None:
-            return
-        moved, target = self.relocate or (None, None)
-        for what, rows in {"cloned": clone, "split": split, "relocated": moved, "moved to": target}.items():
-            if rows is not None and (gone := rows[~self.keep[rows]]).numel():
+        used = {"cloned": clone, "split": split}
+        used |= {} if moved is None else {"relocated": moved[0], "moved to": moved[1]}
+        for what, rows in used.items():
+            if keep is not None and rows is not None and (gone := rows[~keep[rows]]).numel():
                 raise ValueError(f"row {int(gone[0])} is both {what} and removed; do one of them")
+        return dataclasses.replace(self, set=new_set, relocate=moved, clone=clone, split=split, keep=keep)
 
 
-_COPYING = ("clone", "split")
-_SEED_WIDTHS = {"quat": (4,), "opacity": ()}
-
-
-def _kind(value: Any) -> str:
-    return f"{value.dtype}" if isinstance(value, Tensor) else type(value).__name__
-
-
-def _check_fraction(name: str, value: Any) -> None:
-    check_number(name, value)
-    if not 0 < value < 1:
-        raise ValueError(f"{name} must lie strictly between 0 and 1, got {value}")
-
-
-def check_rate(name: str, factors: Any) -> None:
-    """Raise ``ValueError`` unless these can be factors of the learning rate of a parameter."""
+def check_rate(name: str, factors: Any, n: int | None = None) -> None:
+    """Raise ``ValueError`` unless these can be factors of the learning rate of a parameter, of ``n`` rows if given."""
     if name not in STORED:
         raise ValueError(f"rates: no parameter {shown(name)}; known: {', '.join(STORED)}")
-    if not isinstance(factors, Tensor) or factors.ndim != 1 or not factors.is_floating_point():
-        raise ValueError(f"rates: {name} must be a float tensor [N], one factor per row, got {_kind(factors)}")
-    if not ((factors >= 0) & factors.isfinite()).all():
-        raise ValueError(
-            f"rates: {name} must be finite and at least 0, got {float(factors[~(factors >= 0)][:1].sum())}"
-        )
+    check_shape(f"rates: {name}", factors, ("N" if n is None else n,))
+    if not factors.is_floating_point() or not ((factors >= 0) & factors.isfinite()).all():
+        raise ValueError(f"rates: {name} must be finite floats of at least 0, got {shown(factors)}")
 
 
-def _check_set(name: str, pair: Any) -> None:
-    if name not in (*STORED, *ACTIVATED, *_WHOLE):
-        raise ValueError(f"set: no column {shown(name)}; known: {', '.join((*STORED, *ACTIVATED, *_WHOLE))}")
+_RANGES = {"scale_m": (0.0, math.inf), "opacity": (0.0, 1.0), "rgb": (0.0, 1.0), "state": (0, 1)}
+
+
+def _checked_set(name: str, pair: Any, sh: Tensor, surfels: bool) -> tuple[Tensor, Tensor]:
+    """Row numbers and values of ``Edit.set``."""
+    known = (*STORED, *ACTIVATED, "tag", *(["state"] if surfels else []))
+    if name not in known:
+        raise ValueError(f"set: no column {shown(name)} in this map; known: {', '.join(known)}")
     if not isinstance(pair, tuple) or len(pair) != 2 or not all(isinstance(x, Tensor) for x in pair):
         raise ValueError(f"set: {name} must be a pair (rows, values) of tensors, got {type(pair).__name__}")
-    rows, values = pair
-    _check_rows(f"set: rows of {name}", rows)
-    if values.is_floating_point() != (name not in _WHOLE) or values.dtype == torch.bool:
-        kind = "whole numbers" if name in _WHOLE else "floating point"
-        raise ValueError(f"set: {name} must be {kind}, got {values.dtype}")
-    if not values.isfinite().all():
-        raise ValueError(f"set: {name} must be finite, got {int((~values.isfinite()).sum())} NaN or infinite values")
-    limits = {"scale_m": "above 0", "opacity": "strictly between 0 and 1", "rgb": "in 0..1", "state": "0 or 1"}
-    inside = {
-        "scale_m": values > 0,
-        "opacity": (values > 0) & (values < 1),
-        "rgb": (values >= 0) & (values <= 1),
-        "state": (values == 0) | (values == 1),
-    }
-    if name in limits and not inside[name].all():
-        raise ValueError(f"set: {name} must be {limits[name]}, got {float(values[~inside[name]][0]):g}")
+    rows, values = _numbers(f"set: rows of {name}", pair[0], sh), pair[1]
+    width = sh.shape[1:] if name == "sh" else STORED.get(name, ACTIVATED.get(name, ()))
+    check_shape(f"set: {name}", values, (len(rows), *width))
+    if values.is_floating_point() == (name in ("tag", "state")) or values.dtype == torch.bool:
+        raise ValueError(f"set: {name} must not be {values.dtype}; tag and state are whole numbers, the others floats")
+    check_finite(f"set: {name}", values)
+    low, high = _RANGES.get(name, (-math.inf, math.inf))
+    inside = (values > low) & (values < high) if name in ("scale_m", "opacity") else (values >= low) & (values <= high)
+    if not inside.all():
+        raise ValueError(f"set: {name} must be between {low} and {high}, got {float(values[~inside][0]):g}")
+    return rows, values
 
 
-def _check_add(seeds: Any) -> None:
-    if not isinstance(seeds, Seeds):
-        raise ValueError(f"add must be Seeds, got {type(seeds).__name__}")
-    for name in ("xyz_W", "rgb", "scale_m", "quat", "opacity"):
+def _check_add(seeds: Seeds) -> None:
+    for name, tail in (("xyz_W", (3,)), ("rgb", (3,)), ("scale_m", (3,)), ("quat", (4,)), ("opacity", ())):
         value = getattr(seeds, name)
-        check_shape(f"add: {name}", value, (len(seeds), *_SEED_WIDTHS.get(name, (3,))))
+        check_shape(f"add: {name}", value, (len(seeds), *tail))
         check_finite(f"add: {name}", value)
     if not (seeds.scale_m > 0).all():
         raise ValueError(f"add: scale_m must be above 0, got {float(seeds.scale_m.min()):g}")
     if not ((seeds.opacity > 0) & (seeds.opacity < 1)).all():
-        low, high = (float(x) for x in torch.aminmax(seeds.opacity))
-        raise ValueError(f"add: opacity must lie strictly between 0 and 1, got {low:g} to {high:g}")
+        raise ValueError(f"add: opacity must lie strictly between 0 and 1, got {shown(seeds.opacity)}")
 
 
-def _check_rows(name: str, rows: Any) -> None:
-    whole = isinstance(rows, Tensor) and not rows.is_floating_point() and not rows.is_complex()
-    if not whole or rows.ndim != 1:
-        raise ValueError(f"{name} must be row numbers [M] or a mask [N], got {_kind(rows)}")
-
-
-def _check_relocate(pair: Any) -> None:
-    if not isinstance(pair, tuple) or len(pair) != 2:
-        raise ValueError("relocate must be a pair: rows to move, and rows to move them to")
-    for rows in pair:
-        _check_rows("relocate", rows)
-        if rows.dtype == torch.bool:
-            raise ValueError("relocate must be row numbers, because each row to move belongs to one to move to")
-    moved, target = pair
+def _checked_relocate(pair: Any, sh: Tensor) -> tuple[Tensor, Tensor]:
+    if not isinstance(pair, tuple) or len(pair) != 2 or any(getattr(r, "dtype", None) is torch.bool for r in pair):
+        raise ValueError("relocate must be a pair of row numbers: rows to move, and rows to move them to")
+    moved, target = (_numbers("relocate", rows, sh) for rows in pair)
     if len(moved) != len(target):
         raise ValueError(
             f"relocate must have one row to move to for each row to move, got {len(target)} for {len(moved)}"
@@ -228,14 +165,16 @@ def _check_relocate(pair: Any) -> None:
         raise ValueError("relocate: a row can be moved only once")
     if (both := moved[torch.isin(moved, target)]).numel():
         raise ValueError(f"relocate: row {int(both[0])} is both moved and moved to")
+    return moved, target
 
 
-def _numbers(name: str, rows: Tensor, like: Tensor) -> Tensor:
+def _numbers(name: str, rows: Any, like: Tensor) -> Tensor:
     """Row numbers of a mask over the rows of ``like``, or those given, on its device."""
+    if not isinstance(rows, Tensor) or rows.is_floating_point() or rows.ndim != 1:
+        raise ValueError(f"{name} must be row numbers [M] or a mask [N], got {shown(rows)}")
     n, rows = len(like), rows.to(like.device)
     if rows.dtype == torch.bool:
-        if len(rows) != n:
-            raise ValueError(f"{name}: a mask must be [{n}], one for each row, got [{len(rows)}]")
+        check_shape(f"{name}, as a mask", rows, (n,))
         return rows.nonzero()[:, 0]
     if len(rows) and (int(rows.min()) < 0 or int(rows.max()) >= n):
         raise ValueError(f"{name}: rows must be between 0 and {n - 1}, got {int(rows.min())} to {int(rows.max())}")

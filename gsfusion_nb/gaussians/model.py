@@ -8,12 +8,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import observed
-from ..checks import check_saved, check_shape, check_whole
-from ..constants import SH_C0
+from ..checks import check_shape
 from ..geometry import quaternion
-from ..geometry.spherical_harmonics import rgb_to_sh_dc
+from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
 from ..types import GaussianParams, Seeds
-from .edit import Edit, apply_edit, check_rate
+from .edit import Edit, apply_edit
 from .rows import GrowingRows, turn_colours_, turn_moments_
 
 PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))
@@ -214,11 +213,6 @@ class GaussianModel(GrowingRows):
         if self._MOMENTS:
             turn_moments_(self.exp_avg, self.exp_avg_sq, R)
 
-    def count_not_finite(self) -> int:
-        """Rows with a NaN or an infinity in a parameter, which are not drawn."""
-        rows = [column[..., None].flatten(1).isfinite().all(dim=1) for column in vars(self.params).values()]
-        return int((~torch.stack(rows).all(dim=0)).sum())
-
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue later, as tensors and numbers."""
         rows = {name: column for name, column in self.snapshot().items() if not name.startswith("trace.")}
@@ -226,33 +220,18 @@ class GaussianModel(GrowingRows):
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> "GaussianModel":
-        """The model that was saved with ``state_dict``.
-
-        Raises:
-            ValueError: A column of another type or length, or a count below 0. Rows with NaN are accepted: they are not
-                drawn.
-        """
+        """The model that was saved with ``state_dict``."""
         model = cls(state["sh_degree"], device)
-        check_whole("step_count", state["step_count"], 0)
         model.step_count = state["step_count"]
-        check_shape("xyz_W", state["rows"]["xyz_W"], ("N", 3))
         count = state["rows"]["xyz_W"].shape[0]
         model._reserve(count)
         for name in state["rows"]:
             if name.startswith(tuple(cls._OPTIONAL)):
                 model._use(name)
         for name, column in model._columns.items():
-            model._check_saved_column(name, state["rows"][name], (count, *column.shape[1:]))
             column[:count] = state["rows"][name]
         model._in_use(count)
         return model
-
-    def _check_saved_column(self, name: str, saved: object, shape: tuple[int, ...]) -> None:
-        """Raise ``ValueError`` unless this is a column of that name, from a checkpoint."""
-        is_optional = name.startswith(tuple(self._OPTIONAL))
-        check_saved(name, saved, shape, torch.int32 if name in self._COUNTS else torch.float32, finite=is_optional)
-        if name.startswith("rate."):
-            check_rate(name.removeprefix("rate."), saved)
 
     def _rows(self, prefix: str) -> GaussianParams:
         last = self._columns[prefix + PARAMETERS[-1]]

@@ -12,10 +12,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..checks import check_shape
-from ..constants import GROWTH
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import turned_harmonics
 from ..types import GaussianParams
+from ..work import GROWTH
 
 
 def turn_colours_(sh: Float[Tensor, "N K 3"], R: Float[Tensor, "N 3 3"]) -> None:
@@ -94,11 +94,6 @@ class GrowingRows:
     def memory(self) -> dict[str, Float[Tensor, " N"]]:
         """Numbers that a seeding rule keeps for each row, by name; see ``row_memory``."""
         return self._optional("memory.")
-
-    @property
-    def memory_bytes(self) -> int:
-        """Memory of all columns with the spare rows, bytes."""
-        return sum(column.nbytes for column in self._columns.values())
 
     def set_rate(self, parameter: str, factors: Float[Tensor, " N"]) -> None:
         """Set the factors by which the learning rate of a parameter is multiplied, one for each row."""

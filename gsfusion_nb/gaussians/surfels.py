@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import observed, piece
+from ..backends import piece
 from ..config import StateConfig
 from ..geometry import project, quaternion, se3, sum_rows
 from ..types import Camera, GaussianParams, Seeds
@@ -131,15 +131,6 @@ class SurfelModel(GaussianModel):
         for name in _ANCHOR:
             self.anchor[name][rows] = self._columns[name][: len(self)][rows]
 
-    def _check_saved_column(self, name: str, saved: object, shape: tuple[int, ...]) -> None:
-        super()._check_saved_column(name, saved, shape)
-        if name in _AT_LEAST_0 and shape[0]:
-            assert isinstance(saved, Tensor)
-            low, high = int(saved.min()), int(saved.max())
-            if low < 0 or (name == "state" and high > STABLE):
-                wanted = "0 (unstable) or 1 (stable)" if name == "state" else "at least 0"
-                raise ValueError(f"{name} must be {wanted} in every row, got {low} to {high}")
-
     def _column_names(self) -> list[str]:
         return [*super()._column_names(), *(f"anchor.{name}" for name in _ANCHOR)]
 
@@ -195,7 +186,7 @@ def count_errors(
         depth_index: Row that each pixel's ray hits, or -1. [H, W]
         config: Thresholds.
     """
-    depth_error = depth_error_m if config.depth_error_sides == "in_front" else depth_error_m.abs()
+    depth_error = depth_error_m if config.on_error == "delete" else depth_error_m.abs()
     for counter, error, index, limit in (
         (model.colour_errors, colour_error, colour_index, config.colour_error),
         (model.depth_errors, depth_error, depth_index, config.depth_error_m),
@@ -218,7 +209,6 @@ def count_views(model: SurfelModel, camera: Camera, T_WC: Float[Tensor, "4 4"]) 
     model.frames_in_view.add_((xyz_C[:, 2] > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height))
 
 
-@observed
 def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     """Unstable -> stable by confidence, stable -> unstable by errors, and removal of bad rows.
 

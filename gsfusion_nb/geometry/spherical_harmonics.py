@@ -10,8 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..backends import piece
-from ..constants import SH_C0
 
+SH_C0 = 0.28209479177387814
+"""Spherical-harmonic basis function of degree 0, 1 / (2 sqrt(pi))."""
 C1 = 0.4886025119029199  # sqrt(3 / 4 pi)
 C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)  # sqrt(15 / 4 pi), sqrt(5 / 16 pi), sqrt(15 / 16 pi)
 C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)

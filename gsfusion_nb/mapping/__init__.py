@@ -8,11 +8,9 @@ from .step import DelayedInterrupt as DelayedInterrupt
 from .step import FrameUndone as FrameUndone
 from .step import GlobalStep as GlobalStep
 from .step import HalfMappedError as HalfMappedError
-from .step import MapPart as MapPart
 from .step import StepReport as StepReport
 from .systems import SYSTEMS as SYSTEMS
 from .systems import get_system as get_system
 from .systems import make_mapper as make_mapper
 from .systems import system_of as system_of
 from .training import LossFunction as LossFunction
-from .training import Training as Training

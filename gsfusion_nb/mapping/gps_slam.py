@@ -7,12 +7,11 @@ from typing import Any, ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from ..backends import observed
-from ..config import GPS_SLAM_DIFFERS, GpsSlamConfig, gps_slam, gps_slam_fidelity
+from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelity
 from ..export.tsdf_file import as_stored, write_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import se3
-from ..optim import Keyframe, adam_step, dssim_vjp, fit_pose_by_flow, l1_mse_vjp, l2_mse_vjp
+from ..optim import Keyframe, adam_step, fit_pose_by_flow, l1_mse_vjp, l2_mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext
 from ..tracking import Correction
@@ -23,6 +22,9 @@ from .gps_views import BasedView, ViewRound, look_at
 from .mapper import Draw
 from .step import StepReport, ViewStep, as_floats
 from .tsdf_mapping import TsdfMapping
+
+LEAST_OPACITY = 0.005
+"""Gaussians with a smaller opacity are removed (released code)."""
 
 KEPT_BASES_BYTES = 256 << 20
 """Memory for the surfaces that the passes after the scan have seen; the others are looked at anew in each pass."""
@@ -53,7 +55,12 @@ class GPSSLAM(TsdfMapping):
         self._discs: tuple[int, GaussianParams | None] = (0, None)
         """Number of frames when the surface was made discs last, and these."""
         followed = gps_slam_fidelity(self.config).partition(",")[0]
-        self.notes += [GPS_SLAM_DIFFERS[followed]] if followed in GPS_SLAM_DIFFERS else []
+        if followed in ("code", "paper"):
+            self.notes.append(
+                f'GPS-SLAM with the fidelity "{followed}" still differs in what is not a setting, such as the order of '
+                'a frame, the colours of voxels, the cut of alpha and, for "paper", its structural and depth losses '
+                "(docs/gps_slam.md)"
+            )
 
     def map_frame(self, frame: Frame) -> StepReport:
         """Propose seeds where the surface's picture is wrong, append, optimise views of the round, fuse.
@@ -210,7 +217,7 @@ class GPSSLAM(TsdfMapping):
         limits, params = self.config.residual, self.gaussians.params
         radius_m = params.log_scale.amax(dim=1).exp()
         kept = (radius_m >= limits.min_radius_m) & (radius_m <= limits.max_radius_m)
-        kept &= params.opacity_logit.sigmoid() >= limits.min_opacity
+        kept &= params.opacity_logit.sigmoid() >= LEAST_OPACITY
         if not bool(kept.all()):
             self.gaussians.keep(kept)
 
@@ -235,13 +242,12 @@ class GPSSLAM(TsdfMapping):
             size = sum(x.nbytes for x in (*vars(view.below.base).values(), view.seen_rgb, view.seen_depth_m))
             if (len(self._kept_bases) + 1) * size <= KEPT_BASES_BYTES:
                 self._kept_bases[i] = view
-        loss = self._optimise_view(view, self.config.final.ssim_weight)[0]
+        loss = self._optimise_view(view)[0]
         if not self.passes.queue:
             self._prune()
         return loss
 
-    @observed
-    def _optimise_view(self, view: BasedView, ssim_weight: float = 0.0) -> ViewStep:
+    def _optimise_view(self, view: BasedView) -> ViewStep:
         """One gradient step on one view. Returns loss and MSE before it; the surface is held fixed."""
         self.guard.may_stop()
         keyframe, below, params = view.keyframe, view.below, self.gaussians.params
@@ -254,10 +260,6 @@ class GPSSLAM(TsdfMapping):
         if self.training.loss is not None:
             given = self.training.view_loss(output.as_render_output(below.base), keyframe, with_depth=False)
             loss, v_rgb = given.value, given.v_rgb
-        elif ssim_weight > 0:
-            structural, v_structural = dssim_vjp(output.rgb, target)
-            loss = (1 - ssim_weight) * loss + ssim_weight * structural
-            v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
         gradients = render_over_base_vjp(saved, v_rgb, **watched.outputs)
         adam_step(self.gaussians, gradients, self.config.residual.adam, self.training.optimiser)
         self.after_steps.finish(self, watched, keyframe, loss, output.rgb)

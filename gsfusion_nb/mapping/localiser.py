@@ -2,16 +2,14 @@
 
 import dataclasses
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..checks import SAVED_RIGIDITY_ERROR, check_number, check_pose, check_saved, check_shape, check_whole
 from ..config import TrackingConfig
-from ..errors import BadFrameError
+from ..files import BadFrameError
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import KeyframeList
@@ -25,7 +23,6 @@ from ..tracking import (
     SurfaceSource,
     Tracker,
     TrackingLostError,
-    extract_features,
     moved_enough,
 )
 from ..types import Camera, Frame
@@ -35,45 +32,12 @@ OFF_DEG = 1.0
 """ICP starts from the landmarks' pose where it differs by more than this from the predicted one."""
 
 FASTEST_M_S, FASTEST_DEG_S = 20.0, 1500.0
-"""No camera in a hand, on a robot or on a slow car moves or turns faster; recordings of rooms have up to 2 m/s and 110
-degrees/s."""
+"""No camera in a hand, on a robot or on a slow car moves or turns faster."""
 FARTHEST_STEP_M, FARTHEST_STEP_DEG = 2.0, 120.0
 """Up to this for each frame between them two poses are no jump at any speed: time stamps may be missing or wrong."""
 
 _BLOCK = 1024
 """Number of poses that are stored in one tensor."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Stand:
-    """Where a frame was taken, and when."""
-
-    index: int
-    timestamp_s: float
-    T_WC: Float[Tensor, "4 4"]
-
-    @staticmethod
-    def of_state(state: dict[str, Any]) -> "_Stand":
-        """What ``vars`` gave. Raises ``ValueError`` for values of another kind."""
-        stand = _Stand(**state)
-        check_whole("a frame's index", stand.index, 0)
-        check_number(f"time of frame {stand.index}", stand.timestamp_s)
-        check_pose(f"pose of frame {stand.index}", stand.T_WC, SAVED_RIGIDITY_ERROR)
-        return stand
-
-    def jump_from(self, other: "_Stand") -> str:
-        """How far this is from ``other``, in words, if no camera moves so fast; else empty."""
-        turned_deg, moved_m = (float(x) for x in se3.motion(other.T_WC, self.T_WC))
-        seconds, frames = max(self.timestamp_s - other.timestamp_s, 0.0), max(abs(self.index - other.index), 1)
-        most_m = max(FARTHEST_STEP_M * frames, FASTEST_M_S * seconds)
-        most_deg = max(FARTHEST_STEP_DEG * frames, FASTEST_DEG_S * seconds)
-        if moved_m <= most_m and turned_deg <= most_deg:
-            return ""
-        return (
-            f"its pose is {moved_m:.3g} m and {turned_deg:.0f} degrees from that of frame {other.index}, "
-            f"{seconds:.3g} s before; a camera moves at most {most_m:.3g} m"
-            + (f" and turns at most {most_deg:.0f} degrees" if most_deg < 180 else "")
-        )
 
 
 class Localiser:
@@ -94,10 +58,10 @@ class Localiser:
         self.report: dict[str, Any] = {}
         """How the last frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
         self.jump = ""
-        """How far the pose of the last frame is from those before, if no camera moves so fast; else empty."""
-        self._mapped: _Stand | None = None
-        self._refused: _Stand | None = None
-        """Given pose of the last frame, if it was refused because it jumps: the next one may go on from there."""
+        """How far the given pose of the last frame is from those before, if no camera moves so fast; else empty."""
+        self._mapped: dict[str, Any] | None = None
+        self._refused: dict[str, Any] | None = None
+        """Index, time and given pose of the frame mapped last, and of one refused since: the next may go on there."""
         self._tracker = Tracker(config)
         self._found: Any = None
         """State of the tracker before the frame that it tracked last, until that frame is recorded."""
@@ -173,21 +137,26 @@ class Localiser:
             if seen is None:
                 found = self._tracker.track(frame, surface, self._relocalise)
             else:
-                extra = seen.extra(self.config.landmarks.sigma_m)
+                extra = seen.extra
                 found = self._tracker.track(frame, surface, self._relocalise, extra, guess)
         except TrackingLostError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
         self._found = before
-        self.report = {"status": found.status, "rms_m": found.rms_m, "inlier_share": found.inlier_share}
+        fit = found.icp
+        self.report = {
+            "status": found.status,
+            "rms_m": fit.rms_m if fit else 0.0,
+            "inlier_share": fit.inlier_share if fit else 0.0,
+        }
         if found.doubt:
             self.report["doubt"] = found.doubt
         return dataclasses.replace(frame, T_WC=found.T_WC.to(frame.T_WC))
 
     def _check_jump(self, frame: Frame) -> None:
-        stand = _Stand(index=frame.index, timestamp_s=frame.timestamp_s, T_WC=frame.T_WC_cpu)
-        self.jump = "" if self._mapped is None else stand.jump_from(self._mapped)
-        if self.jump and self.config.pose_jumps == "skip" and (not self._refused or stand.jump_from(self._refused)):
-            self._refused = stand
+        self.jump = "" if self._mapped is None else jump_from(self._mapped, frame)
+        goes_on = self._refused is not None and not jump_from(self._refused, frame)
+        if self.jump and self.config.pose_jumps == "skip" and not goes_on:
+            self._refused = _stand_of(frame)
             raise BadFrameError(
                 f"frame {frame.index} cannot be mapped: {self.jump}. Frames that go on from there are mapped. If the "
                 "pose is right: --tracking.pose-jumps map"
@@ -205,8 +174,7 @@ class Localiser:
         self.given.append(self.poses[-1])
         self.frame_indices.append(frame.index)
         if not self.is_tracking:
-            self._mapped = _Stand(index=frame.index, timestamp_s=frame.timestamp_s, T_WC=self.poses[-1].clone())
-            self._refused = None
+            self._mapped, self._refused = _stand_of(frame), None
             return None
         return self._remember(frame)
 
@@ -218,7 +186,7 @@ class Localiser:
         """Landmarks that the frame sees, None if they are not wanted, or too few; and their pose, if the predicted one
         is wrong. If it is not, it is the more exact start for ICP."""
         self._view = None
-        if self._map is None or not self.config.landmarks.enabled or frame.camera != self._map.camera:
+        if self._map is None or not self.config.landmarks or frame.camera != self._map.camera:
             return None, None
         features, predicted = self._features(frame), self._tracker.predict(frame.timestamp_s)
         seen = self._map.see(features, predicted)
@@ -231,8 +199,8 @@ class Localiser:
     def _features(self, frame: Frame) -> Features:
         if self._view is not None and self._view[0] == frame.index:
             return self._view[1]
-        settings = self.config.back_end
-        return extract_features(frame, count=settings.features, levels=settings.levels)
+        assert self._database is not None
+        return self._database.extract(frame)
 
     def _kept(self, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
         """A copy of the pose inside a larger tensor.
@@ -248,14 +216,14 @@ class Localiser:
 
     def _remember(self, frame: Frame) -> Correction | None:
         """Make the frame a keyframe if the camera has moved enough; returns the back end's correction, if any."""
-        settings, T_WC = self.config.back_end, frame.T_WC_cpu
+        T_WC = frame.T_WC_cpu
         if self._database is None:
-            self._use(frame.camera, BackEnd(settings, frame.camera) if settings.enabled else None)
+            self._use(frame.camera, BackEnd(frame.camera) if self.config.back_end else None)
         assert self._database is not None
         index, _, seen = self._view or (None, None, None)
         if self._map is not None and seen is not None and index == frame.index:
             self._map.count(seen)
-        if len(self._database) and not moved_enough(self._database.T_WC[-1], T_WC, settings):
+        if len(self._database) and not moved_enough(self._database.T_WC[-1], T_WC):
             return None
         features = self._features(frame)
         if self._back_end is not None:
@@ -266,13 +234,12 @@ class Localiser:
 
     def _use(self, camera: Camera, back_end: BackEnd | None) -> None:
         """Begin to remember keyframes: in the back end, in a map of landmarks, or only by their appearance."""
-        size = {"count": self.config.back_end.features, "levels": self.config.back_end.levels}
         self._back_end = back_end
         if back_end is not None:
             self._map = back_end.map
-        elif self.config.landmarks.enabled:
-            self._map = LandmarkMap(camera, **size)
-        self._database = KeyframeDatabase(camera, **size) if self._map is None else self._map.database
+        elif self.config.landmarks:
+            self._map = LandmarkMap(camera)
+        self._database = KeyframeDatabase(camera) if self._map is None else self._map.database
 
     def finish(self) -> Correction | None:
         """The last optimisation of the back end, over all keyframes and landmarks, after the scan."""
@@ -294,7 +261,7 @@ class Localiser:
             "poses": torch.stack(self.poses) if self.poses else torch.zeros(0, 4, 4),
             "given": torch.stack(self.given) if self.is_refined else None,
             "frame_indices": torch.tensor(self.frame_indices, dtype=torch.int64),
-            "stands": [None if s is None else vars(s) for s in (self._mapped, self._refused)],
+            "stands": [self._mapped, self._refused],
             "tracker": self._tracker.state_dict(),
             "camera": None if self.camera is None else vars(self.camera),
             "back_end": None if self._back_end is None else self._back_end.state_dict(),
@@ -303,32 +270,39 @@ class Localiser:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` saved.
-
-        Raises:
-            ValueError: The numbers of poses and frames differ, or a pose is not a rigid transform.
-        """
-        settings = self.config.back_end
-        check_shape("frame_indices", state["frame_indices"], ("N",))
-        self.poses, self.given, self.frame_indices = [], [], state["frame_indices"].tolist()
-        for index in self.frame_indices:
-            check_whole("a frame's index", index, 0)
-        check_saved("poses", state["poses"], (len(self.frame_indices), 4, 4))
-        for index, T_WC in zip(self.frame_indices, state["poses"].cpu(), strict=True):
-            check_pose(f"pose of frame {index}", T_WC, SAVED_RIGIDITY_ERROR)
-            self.poses.append(self._kept(T_WC))
+        """Restore what ``state_dict`` saved."""
+        self.frame_indices = state["frame_indices"].tolist()
+        self.poses = [self._kept(T_WC) for T_WC in state["poses"].cpu()]
         self.given = list(self.poses)
-        if state.get("given") is not None:
-            check_saved("given", state["given"], (len(self.frame_indices), 4, 4))
+        if state["given"] is not None:
             self.given = [self._kept(T_WC) for T_WC in state["given"].cpu()]
-        self._mapped, self._refused = (s and _Stand.of_state(s) for s in state.get("stands", (None, None)))
+        self._mapped, self._refused = state["stands"]
         self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
         if state["camera"] is not None:
             camera, saved = Camera(**state["camera"]), state["back_end"]
-            self._use(camera, None if saved is None else BackEnd.from_state_dict(settings, camera, saved))
+            self._use(camera, None if saved is None else BackEnd.from_state_dict(camera, saved))
         for name, part in (("map", self._map), ("database", self._database)):
             if state[name] is not None and part is not None:
                 part.load_state(state[name])
+
+
+def _stand_of(frame: Frame) -> dict[str, Any]:
+    """Where a frame was taken, and when."""
+    return {"index": frame.index, "timestamp_s": frame.timestamp_s, "T_WC": frame.T_WC_cpu.clone()}
+
+
+def jump_from(stand: dict[str, Any], frame: Frame) -> str:
+    """How far the pose of a frame is from ``stand`` of an earlier one, in words, if no camera moves so fast."""
+    turned_deg, moved_m = (float(x) for x in se3.motion(stand["T_WC"], frame.T_WC_cpu))
+    seconds, frames = max(frame.timestamp_s - stand["timestamp_s"], 0.0), max(abs(frame.index - stand["index"]), 1)
+    most_m = max(FARTHEST_STEP_M * frames, FASTEST_M_S * seconds)
+    most_deg = max(FARTHEST_STEP_DEG * frames, FASTEST_DEG_S * seconds)
+    if moved_m <= most_m and turned_deg <= most_deg:
+        return ""
+    return (
+        f"its pose is {moved_m:.3g} m and {turned_deg:.0f} degrees from that of frame {stand['index']}, "
+        f"{seconds:.3g} s before; a camera moves at most {most_m:.3g} m and {min(most_deg, 180):.0f} degrees"
+    )
 
 
 def between(indices: Int[Tensor, " R"], values: Float[Tensor, "R D"], index: int) -> Float[Tensor, " D"]:

@@ -17,16 +17,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import runs_learners_code
-from ..checks import check_whole
+from ..checks import shown
 from ..config import SystemConfig, from_dict, to_dict
-from ..errors import shown
 from ..gaussians import GaussianModel
-from ..operands import FAR_DEPTH_M
 from ..optim import KeyframeList, UpdateFunction, fit_pose
 from ..render import render
 from ..seeding import (
     Cells,
-    ChangedInputError,
     SeedContext,
     SeedingRule,
     apply_rule,
@@ -39,11 +36,14 @@ from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .localiser import Localiser, move_map
 from .rule import AfterSteps, RuleInUse, check_known, settings_of_run, settings_with_rule
-from .step import FrameGuard, GlobalStep, MapPart, StageClock, StepReport, SurfaceImage, check_frame, psnr_from_mse
+from .step import FrameGuard, GlobalStep, StageClock, StepReport, check_frame, psnr_from_mse
 from .training import KeyframePasses, LossFunction, RandomStreams, Training, given_functions
 
 Draw = Callable[[Camera, Tensor], RenderOutput]
 """Renders a map for a camera and its camera-to-world pose."""
+
+FAR_DEPTH_M = 30.0
+"""A frame whose median depth is beyond this is doubtful: depth cameras measure up to 10 m."""
 
 M = TypeVar("M", bound="Mapper")
 
@@ -93,8 +93,6 @@ class Mapper(ABC):
         "Gaussians": lambda report: report.n_gaussians,
     }
     """Title -> value after a step, plotted while mapping; NaN leaves a gap."""
-    uses_seeding_rule: ClassVar[bool] = True
-    """Whether new Gaussians come from the seeding rule; the report then names it."""
     needs_depth: ClassVar[bool] = False
     """Whether a frame without any depth is refused."""
     needs_volume_to_render: ClassVar[bool] = False
@@ -143,7 +141,7 @@ class Mapper(ABC):
     def __repr__(self) -> str:
         return (
             f"{type(self).__name__}({self.n_frames} frames, {len(self.gaussians):,} Gaussians, "
-            f"{len(self.keyframes)} keyframes, rule {rule_name(self.rule)!r}{self.rule_in_use.memory_note})"
+            f"{len(self.keyframes)} keyframes, rule {rule_name(self.rule)!r})"
         )
 
     @property
@@ -182,8 +180,8 @@ class Mapper(ABC):
         """
 
     @abstractmethod
-    def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfaceImage:
-        """Depth, normals and colours of the map's surface seen by a camera."""
+    def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Any:
+        """The map's surface seen by a camera: ``rgb`` 0..1, ``depth_m`` (0 where there is none) and ``normal_W``."""
 
     def tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
         """What a frame at this pose is aligned to where poses are tracked: the map's surface."""
@@ -260,13 +258,11 @@ class Mapper(ABC):
         If what comes before ``changes`` fails, the random numbers, the rule's memory and the tracked pose are restored;
         if an undoable change fails, so is the map.
         """
-        with self.watch(frame.index), self.guard.one_frame(frame.index):
+        with self.watch(frame.index), self.guard.while_mapping(frame.index):
             random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
             try:
                 yield
-            except BaseException as e:
-                if isinstance(e, ChangedInputError) and e.changed_map and not self.guard.can_undo:
-                    self.guard.half_mapped = f"at frame {frame.index} the map was changed by its {e}"
+            except BaseException:
                 if self.guard.undo():
                     self.random.load_state_dict(random_numbers)
                     self.rule_in_use.set_memory(memory)
@@ -348,8 +344,7 @@ class Mapper(ABC):
             )
         if not self.rule_is_due(is_keyframe):
             return Seeds.empty(context.frame.depth_m)
-        with self.rule_in_use.running():
-            return apply_rule(self.rule, context, self.config.seeding.options, **checks)
+        return apply_rule(self.rule, context, self.config.seeding.options, **checks)
 
     def rule_is_due(self, is_keyframe: bool | None) -> bool:
         """Whether the rule is asked in the frame that is mapped next (``MapRule.when``)."""
@@ -366,19 +361,6 @@ class Mapper(ABC):
     def maps(self) -> dict[str, dict[str, Tensor]]:
         """The tensors of each map, by name; two runs have the same maps if these are equal."""
         return {"gaussians": vars(self.gaussians.params)}
-
-    def parts(self) -> list[MapPart]:
-        """What the map consists of and how much memory each part takes; the rule's memory only if it has one."""
-        parts = [
-            MapPart(name="Gaussians", count=len(self.gaussians), size_bytes=self.gaussians.memory_bytes),
-            MapPart(name="keyframes", count=len(self.keyframes), size_bytes=self.keyframes.size_bytes),
-        ]
-        kept = MapPart(name="values kept by the rule", count=len(self.memory), size_bytes=self.rule_in_use.memory_bytes)
-        return [*parts, kept] if self.memory else parts
-
-    def mesh_on_cpu(self) -> Mesh | None:
-        """The mesh, computed without a GPU whose memory is full; ``None`` if that is not possible."""
-        return None
 
     def quadtree_cells(self, frame: Frame) -> Cells | None:
         """The quadtree cells of the frame that seeding used; ``None`` if the system has no quadtree."""
@@ -439,26 +421,13 @@ class Mapper(ABC):
         return mapper
 
     def _load(self, state: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` saved; a subclass extends both.
-
-        Raises:
-            ValueError: The state contradicts itself or the settings.
-        """
+        """Restore what ``state_dict`` saved; a subclass extends both."""
         self.localiser.load_state_dict(state["localiser"])
-        check_whole("n_frames", state["n_frames"], 0)
-        self.n_frames = state["n_frames"]
-        check_whole("steps_taken", state["steps_taken"], 0)
-        self.after_steps.taken = state["steps_taken"]
-        if len(self.localiser.poses) != self.n_frames:
-            raise ValueError(f"{self.n_frames} frames must have as many poses, got {len(self.localiser.poses)}")
+        self.n_frames, self.after_steps.taken = state["n_frames"], state["steps_taken"]
         self.random.load_state_dict(state["random"])
         self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
-        if self.gaussians.sh_degree != self.config.sh_degree:
-            raise ValueError(f"sh_degree must be {self.config.sh_degree}, got {self.gaussians.sh_degree}")
         self.keyframes = KeyframeList.from_state_dict(state["keyframes"], self.keyframes.device)
-        self.passes.load_state_dict(state["passes"], len(self.keyframes))
-        if lost := self.gaussians.count_not_finite():
-            self.notes.append(f"{lost} Gaussians of the checkpoint hold NaN or infinities; they are not drawn")
+        self.passes.load_state_dict(state["passes"])
 
     def write_besides(self, folder: Path) -> None:  # noqa: B027
         """Write the files that the pictures need besides ``gaussians.ply``."""
@@ -511,13 +480,11 @@ class Mapper(ABC):
             warnings.append(f"frame {frame.index}: tracking was lost and has recovered")
         if self.localiser.jump:
             warnings.append(f"frame {frame.index} was mapped although {self.localiser.jump}")
-        median_m = float(depth_m[depth_m > 0].median()) if bool((depth_m > 0).any()) else 0.0
-        if median_m > FAR_DEPTH_M and not self._told_far:
+        if not self._told_far and bool(depth_m[depth_m > 0].median() > FAR_DEPTH_M):
             self._told_far = True
             warnings.append(
-                f"frame {frame.index}, and perhaps later ones, was mapped with a median depth of {median_m:.4g} m, "
-                "which no depth camera measures: is it a code for missing depth, or the wrong depth scale? "
-                f"--data.depth-max-m {FAR_DEPTH_M:g} leaves it out"
+                f"frame {frame.index}, and perhaps later ones, has a median depth beyond {FAR_DEPTH_M:g} m: is it a "
+                "code for missing depth, or the wrong depth scale? --data.depth-max-m leaves it out"
             )
         return warnings
 
@@ -545,8 +512,8 @@ class Mapper(ABC):
         self._follow(self.localiser.record(frame))
 
     def _follow(self, correction: Correction | None) -> None:
-        """After a loop closure, move Gaussians, keyframes and what the rule remembers of the world with the trajectory,
-        if the settings say so."""
-        if correction is not None and self.config.tracking.back_end.on_correction == "move":
+        """After a loop closure, move Gaussians, keyframes and what the rule remembers of the world with the
+        trajectory."""
+        if correction is not None:
             move_map(correction, self.gaussians, self.keyframes)
             move_memory(self.memory, correction.transform_of)

@@ -10,8 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..checks import check_number, check_whole
-from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelity
+from ..config import RtgSlamConfig, TsdfConfig, rtg_slam, rtg_slam_fidelity
 from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import se3
 from ..optim import Keyframe, TrainingView, fuse_with_history
@@ -22,11 +21,21 @@ from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
 from .mapper import Mapper
 from .rule import WatchedStep
-from .step import StepReport, check_frame, psnr_from_mse
+from .step import StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser
 
 MESH_VIEWS = 60
 """Number of views whose rendered depth is fused to the mesh."""
+
+KEYFRAME_DEG, KEYFRAME_M = 30.0, 0.3
+"""A frame becomes a keyframe when the camera has turned, or its centre has moved, by this since the last one."""
+
+WORST_SHARE = 0.4
+"""Share of a keyframe's pixels that have a loss in the optimisation over keyframes, those with the largest colour
+errors."""
+
+KEYFRAMES_LR_FACTOR = 0.1
+"""Learning rates of the optimisation over keyframes as a multiple of the window's; centres do not move."""
 
 MASKED_BELOW = 0.8
 """If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves no time."""
@@ -67,8 +76,7 @@ class RTGSLAM(Mapper):
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in state_counts(self.gaussians).items())
-        note = self.rule_in_use.memory_note
-        return f"RTGSLAM({self.n_frames} frames, {len(self.gaussians):,} Gaussians ({counts}){note})"
+        return f"RTGSLAM({self.n_frames} frames, {len(self.gaussians):,} Gaussians ({counts}))"
 
     def map_frame(self, frame: Frame) -> StepReport:
         """Propose seeds, append, optimise the window and the keyframes, change states (paper Fig. 2, section 3.2)."""
@@ -108,10 +116,10 @@ class RTGSLAM(Mapper):
         """Whether the camera has turned or moved far enough since the last keyframe."""
         if not len(self.keyframes):
             return True
-        limits, last = self.config.keyframes, self.keyframes[len(self.keyframes) - 1].T_WC.to(frame.T_WC)
+        last = self.keyframes[len(self.keyframes) - 1].T_WC.to(frame.T_WC)
         turned = torch.rad2deg(se3.rotation_angle(last[:3, :3].T @ frame.T_WC[:3, :3]))
         moved = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
-        return float(turned) >= limits.rotation_deg or float(moved) >= limits.translation_m
+        return float(turned) >= KEYFRAME_DEG or float(moved) >= KEYFRAME_M
 
     def _window_is_due(self, is_keyframe: bool) -> bool:
         if not self.n_frames:
@@ -174,7 +182,7 @@ class RTGSLAM(Mapper):
             self.config.discs,
             drawn=rows,
             seen=seen,
-            lr_factor=config.lr_factor,
+            lr_factor=KEYFRAMES_LR_FACTOR,
             move_centres=False,
             training=self.training,
         )
@@ -224,7 +232,7 @@ class RTGSLAM(Mapper):
         """The pixels with the largest colour errors, a fixed share of the image."""
         view = self.surface(keyframe.camera, keyframe.T_WC)
         error = (view.rgb - keyframe.rgb).abs().mean(dim=-1)
-        return error >= error.flatten().quantile(1 - self.config.keyframes.pixel_share)
+        return error >= error.flatten().quantile(1 - WORST_SHARE)
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe, on all pixels and all Gaussians, which all become stable at the first step."""
@@ -297,7 +305,8 @@ class RTGSLAM(Mapper):
 
     def mesh(self) -> Mesh:
         """Surface of the map: depth rendered from about 60 poses along the whole trajectory, fused into a TSDF."""
-        volume, poses = TsdfVolume(self.config.mesh, device=self.device), self.localiser.poses
+        settings = TsdfConfig(voxel_size_m=self.config.mesh_voxel_m, truncation_voxels=4.0, near_m=0.2)
+        volume, poses = TsdfVolume(settings, device=self.device), self.localiser.poses
         for index, T_WC in enumerate(poses[:: max(1, len(poses) // MESH_VIEWS)]):
             assert self.camera is not None
             view = self.surface(self.camera, T_WC)
@@ -330,10 +339,7 @@ class RTGSLAM(Mapper):
     def _load(self, state: dict[str, Any]) -> None:
         super()._load(state)
         self.camera = None if state["camera"] is None else Camera(**state["camera"])
-        for f in state["window"]:
-            check_whole("index of a frame", f["index"], 0)
-            check_number(f"time of frame {f['index']}", f["timestamp_s"])
-            self.window.append(check_frame(Frame.of_state(f), self.device, needs_depth=True))
+        self.window.extend(Frame.of_state(f).to(self.device) for f in state["window"])
         if state["final"] is not None:
             self._final = self._final_optimiser()
             self._final.load_state_dict(state["final"])
@@ -345,7 +351,7 @@ class RTGSLAM(Mapper):
     def _follow(self, correction: Correction | None) -> None:
         """After a loop closure the window moves as well."""
         super()._follow(correction)
-        if correction is None or self.config.tracking.back_end.on_correction == "leave":
+        if correction is None:
             return
         moves = correction.transform_of(torch.tensor([f.index for f in self.window])).float()
         moved = [dataclasses.replace(f, T_WC=T.to(f.T_WC) @ f.T_WC) for f, T in zip(self.window, moves, strict=True)]

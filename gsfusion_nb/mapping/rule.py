@@ -1,9 +1,7 @@
 """The seeding rule of a mapper: options, memory, times, settings that it brings, edits after gradient steps."""
 
-import contextlib
 import dataclasses
 import logging
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -11,16 +9,15 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..checks import shown
 from ..config import SystemConfig, from_dict
 from ..config.values import NOT_FOR_RULES, nested, with_own_settings
-from ..errors import SequenceError, shown
+from ..files import SequenceError
 from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
 from ..render import Footprints, footprints
 from ..seeding import (
     EVERY_FRAME,
-    ChangedInputError,
-    DeclaredFiles,
     MapRule,
     SeedContext,
     SeedingRule,
@@ -28,9 +25,7 @@ from ..seeding import (
     When,
     check_memory,
     copy_memory,
-    describe_memory,
     is_map_rule,
-    option_paths,
     option_values,
     read_code,
     registered,
@@ -38,7 +33,6 @@ from ..seeding import (
     rule_name,
     rule_options,
 )
-from ..seeding.apply import Versions
 from ..seeding.points import add_up
 from ..seeding.rule import check_needs
 from ..types import Camera, Frame
@@ -55,10 +49,9 @@ ALL = "all"
 class RuleInUse:
     """A rule with the options of one mapper, its fingerprint from when the mapper was made, and its memory.
 
-    A function should depend on its context only; what it must remember belongs in ``ctx.memory``. A callable object may
-    instead have ``state_dict()`` and ``load_state_dict(state)``: what they exchange (tensors and plain values) is saved
-    in checkpoints. A rule that stores something elsewhere can map, but its checkpoints cannot be resumed. The instances
-    of a class (``MapRule``) are frozen, so its only state is its memory.
+    A function should depend on its context only; what it must remember belongs in ``ctx.memory``. A rule that stores
+    something elsewhere can map, but its checkpoints cannot be resumed. The instances of a class (``MapRule``) are
+    frozen, so its only state is its memory.
 
     Args:
         rule: The rule.
@@ -80,46 +73,20 @@ class RuleInUse:
         """What it keeps from one frame to the next; always the same dict."""
         read = read_code(rule)
         self._fingerprint = read.hash.hexdigest()
-        self._paths = [*option_paths(rule, options).values(), *read.paths]
-        self._files: DeclaredFiles | None = None
         for kept in read.caches:  # of an earlier mapper; files may have changed since
             kept.cache_clear()
 
-    def refuse_other_files(self) -> None:
-        """From now on the rule may only open files that its options name, or a ``Path`` in its code."""
-        self._files = DeclaredFiles(rule_name(self.rule), self._paths)
-
-    def running(self) -> contextlib.AbstractContextManager[None]:
-        """Context around a call of the rule.
-
-        Raises:
-            UndeclaredFileError: it opens a file that ``refuse_other_files`` forbids.
-        """
-        return contextlib.nullcontext() if self._files is None else self._files.only()
-
-    @property
-    def memory_note(self) -> str:
-        """What the memory holds and the sizes, for the end of a line; empty without a memory."""
-        return f", memory: {describe_memory(self.memory)}" if self.memory else ""
-
-    @property
-    def memory_bytes(self) -> int:
-        """Size of the tensors in the memory, bytes."""
-        return sum(tensor.nbytes for tensor in _tensors(self.memory))
-
     def state_dict(self) -> dict[str, Any]:
-        """Name and fingerprint of the rule, and its state.
+        """Name and fingerprint of the rule, and its memory.
 
         Raises:
             TypeError: the memory holds something that a checkpoint cannot save.
         """
-        save = getattr(self.rule, "state_dict", None)
         check_memory(rule_name(self.rule), self.memory)
         return {
             "name": rule_name(self.rule),
             "fingerprint": self._fingerprint,
             "changed": self.map_rule is None and rule_fingerprint(self.rule) != self._fingerprint,
-            "kept": save() if callable(save) else None,
             "memory": copy_memory(self.memory),
         }
 
@@ -134,9 +101,6 @@ class RuleInUse:
                 f"the seeding rule {shown(state['name'])} stores something from one frame to the next that is not in "
                 "the checkpoint, so the run cannot continue to the same map; keep it in ctx.memory instead"
             )
-        load = getattr(self.rule, "load_state_dict", None)
-        if state["kept"] is not None and callable(load):
-            load(state["kept"])
         self.set_memory(state["memory"])
 
     def set_memory(self, memory: dict[str, Any]) -> None:
@@ -149,14 +113,6 @@ class RuleInUse:
     def differs(self, state: dict[str, Any]) -> bool:
         """Whether this is not the rule of ``state``, or it was edited since."""
         return state["name"] != rule_name(self.rule) or state["fingerprint"] != self._fingerprint
-
-
-def _tensors(memory: Any) -> Iterator[Tensor]:
-    if isinstance(memory, Tensor):
-        yield memory
-    elif isinstance(memory, (dict, list, tuple)):
-        for value in memory.values() if isinstance(memory, dict) else memory:
-            yield from _tensors(value)
 
 
 def check_known(state: dict[str, Any]) -> None:
@@ -287,7 +243,7 @@ class AfterSteps:
 
     def __init__(self, rule: RuleInUse):
         made = rule.map_rule
-        self._rule, self._name, self._running = made, rule_name(rule.rule), rule.running
+        self._rule, self._name = made, rule_name(rule.rule)
         self._needs: frozenset[str] = frozenset() if made is None else made.statistics()
         check_needs(self._needs, f"seeding rule {self._name!r}: statistics()")
         self.edits = made is not None and type(made).after_step is not MapRule.after_step
@@ -415,12 +371,8 @@ class AfterSteps:
 
     def _edit(self, mapper: Any, ctx: SeedContext, stats: StepStats) -> None:
         assert self._rule is not None
-        versions = Versions(ctx)
-        with self._running():
-            edit = self._rule.after_step(ctx, stats, ctx.memory)
+        edit = self._rule.after_step(ctx, stats, ctx.memory)
         check_memory(self._name, ctx.memory)
-        if changed := versions.changed():
-            raise ChangedInputError(self._name, changed)
         if edit is None:
             return
         if not isinstance(edit, Edit):

@@ -7,15 +7,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_colours, check_finite, check_pose
-from ..errors import BadFrameError
-from ..operands import check_place, check_plausible_camera
+from ..files import BadFrameError
+from ..geometry.operands import check_place, check_plausible_camera
 from ..types import Frame
 
 
@@ -114,37 +114,6 @@ def psnr_from_mse(mse: float) -> float:
     return -10 * math.log10(max(mse, 1e-10))
 
 
-@runtime_checkable
-class SurfaceImage(Protocol):
-    """The surface of a map as a camera sees it."""
-
-    @property
-    def rgb(self) -> Float[Tensor, "H W 3"]:
-        """Colours of the surface, 0..1."""
-        ...
-
-    @property
-    def depth_m(self) -> Float[Tensor, "H W"]:
-        """z-depth, metres; 0 where there is none."""
-        ...
-
-    @property
-    def normal_W(self) -> Float[Tensor, "H W 3"]:
-        """Unit normal towards the camera, world frame; 0 where it is not known."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class MapPart:
-    """One kind of elements of a map."""
-
-    name: str
-    """In the plural, as in "12,000 Gaussians"."""
-    count: int
-    size_bytes: int
-    """Their memory, bytes."""
-
-
 BLACK = 2.5 / 255
 """A frame without any brighter pixel counts as black."""
 
@@ -158,7 +127,7 @@ def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth
         needs_depth: Refuse a frame without any depth.
 
     Raises:
-        BadFrameError: the pose is not rigid or too far away, the camera is impossible (``gsfusion_nb.operands``), an
+        BadFrameError: the pose is not rigid or too far away, the camera is impossible (``check_plausible_camera``), an
             image holds a NaN or colours outside 0..1, the picture is black, or it has no depth with ``needs_depth``.
     """
     try:
@@ -212,7 +181,7 @@ class FrameGuard:
         self._undo: Callable[[], None] | None = None
 
     @contextlib.contextmanager
-    def one_frame(self, index: int) -> Iterator[None]:
+    def while_mapping(self, index: int) -> Iterator[None]:
         """Context for the step of a mapper on the frame with this index.
 
         After ``changes_begin``, Ctrl-C takes effect only when the frame is mapped, or at ``may_stop``.
@@ -262,11 +231,6 @@ class FrameGuard:
     def changes_stay(self) -> None:
         """Declare that what follows cannot be undone."""
         self._undo = None
-
-    @property
-    def can_undo(self) -> bool:
-        """Whether what the frame has changed can be undone."""
-        return self._undo is not None
 
     def undo(self) -> bool:
         """Undo what the frame has changed; returns whether the map is now as it was before the frame."""

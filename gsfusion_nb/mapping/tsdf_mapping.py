@@ -7,15 +7,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..checks import check_number, check_whole
-from ..errors import BadFrameError
+from ..files import BadFrameError
 from ..geometry import backproject
 from ..seeding import SeedContext
 from ..tracking import Correction
 from ..tsdf import NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, integrate, new_band_blocks, raycast
 from ..types import Camera, Frame, Mesh, Seeds
 from .mapper import Mapper
-from .step import MapPart, StepReport, check_frame
+from .step import StepReport
 
 MOVED_VOXELS = 0.5
 """The volume is made again when a frame's surface has moved by more than this many voxels."""
@@ -34,11 +33,6 @@ class FusedFrames:
 
     def __len__(self) -> int:
         return len(self.frames)
-
-    @property
-    def size_bytes(self) -> int:
-        """Memory of the images, bytes."""
-        return sum(image.nbytes for image in self.images())
 
     def images(self) -> list[Tensor]:
         """All images, which never change."""
@@ -85,16 +79,8 @@ class FusedFrames:
         return [frame.state_dict() for frame in self.frames]
 
     def load_state(self, state: list[dict[str, Any]]) -> None:
-        """Replace the frames by those of ``state_dict``.
-
-        Raises:
-            ValueError: a frame that cannot be mapped.
-        """
-        self.frames = []
-        for f in state:
-            check_whole("index of a frame", f["index"], 0)
-            check_number(f"time of frame {f['index']}", f["timestamp_s"])
-            self.frames.append(check_frame(Frame.of_state(f), torch.device("cpu")))
+        """Replace the frames by those of ``state_dict``."""
+        self.frames = [Frame.of_state(f).to("cpu") for f in state]
 
 
 def _camera_and_corners(frame: Frame) -> Float[Tensor, "5 3"]:
@@ -119,7 +105,7 @@ class TsdfMapping(Mapper):
         return (
             f"{type(self).__name__}({self.n_frames} frames, {len(self.gaussians):,} Gaussians, "
             f"{len(self.keyframes)} keyframes, {self.volume.n_blocks:,} voxel blocks, "
-            f"rule {self.config.seeding.rule!r}{self.rule_in_use.memory_note})"
+            f"rule {self.config.seeding.rule!r})"
         )
 
     def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
@@ -143,16 +129,6 @@ class TsdfMapping(Mapper):
         volume, rows = self.volume, self.volume.index.rows
         columns = {"block_coords": volume.block_coords, "D": volume.D, "W": volume.W, "rgb": volume.rgb_planes}
         return super().maps() | {"tsdf": {name: column[rows] for name, column in columns.items()}}
-
-    def parts(self) -> list[MapPart]:
-        """Gaussians, keyframes and voxel blocks."""
-        blocks = MapPart(name="voxel blocks", count=self.volume.n_blocks, size_bytes=self.volume.memory_bytes)
-        kept = MapPart(name="frames kept for loops", count=len(self.fused), size_bytes=self.fused.size_bytes)
-        return [*super().parts(), blocks, *([kept] if len(self.fused) else [])]
-
-    def mesh_on_cpu(self) -> Mesh:
-        """The mesh, computed from a copy of the TSDF in CPU memory."""
-        return extract_mesh(self.volume.to("cpu"))
 
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
         """In addition: a warning if no depth of the first frame is in the range that is fused."""
@@ -180,9 +156,7 @@ class TsdfMapping(Mapper):
     def _load(self, state: dict[str, Any]) -> None:
         super()._load(state)
         self.volume.load_state_dict(state["volume"])
-        self.fused.load_state(state.get("fused", []))
-        if len(self.fused) not in (0, self.n_frames):
-            raise ValueError(f"{self.n_frames} frames must be kept for loops, or none, got {len(self.fused)}")
+        self.fused.load_state(state["fused"])
 
     def _report(self, *args: Any, **fields: Any) -> StepReport:
         return super()._report(*args, n_blocks=self.volume.n_blocks, **fields)
@@ -190,7 +164,7 @@ class TsdfMapping(Mapper):
     def _record(self, frame: Frame) -> None:
         """Keep the frame, which was fused, if a loop may move it."""
         tracking = self.config.tracking
-        if tracking.poses == "tracked" and tracking.back_end.enabled and tracking.back_end.on_correction == "move":
+        if tracking.poses == "tracked" and tracking.back_end:
             self.fused.add(frame)
         super()._record(frame)
 

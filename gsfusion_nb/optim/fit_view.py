@@ -29,9 +29,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..checks import check_whole
-from ..constants import SHOWN_ALPHA
 from ..geometry import se3
 from ..render import pose_vjp, render_forward, render_vjp
+from ..render.constants import SHOWN_ALPHA
 from ..types import Camera, GaussianParams, RenderOutput
 
 SMALL_RESIDUAL = 0.02

@@ -3,12 +3,11 @@
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..backends import observed, piece
+from ..backends import piece
 from ..geometry import quaternion
 from ..types import GaussianParams
 
 
-@observed
 def fuse_with_history(
     before: GaussianParams,
     after: GaussianParams,

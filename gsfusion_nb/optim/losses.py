@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..backends import op, piece
 from ..checks import check_number
-from ..operands import MASK, check_images, check_operand
+from ..geometry.operands import MASK, check_images, check_operand
 from ..types import GaussianParams
 
 C1 = 0.01**2

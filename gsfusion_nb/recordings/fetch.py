@@ -5,6 +5,7 @@ compares digests and tries again; a download that is broken off begins anew.
 """
 
 import argparse
+import gzip
 import json
 import logging
 import shlex
@@ -13,27 +14,21 @@ import stat
 import sys
 import tarfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
+from ..checks import shown
 from ..data.open import open_sequence
 from ..data.sequence import SequenceError
-from ..errors import as_sentence, is_foreseen, shown, unforeseen
-from ..files import atomic_folder, write_file
-from ..foreign import open_regular
+from ..files import atomic_folder, is_foreseen, open_regular, unforeseen, write_file
 
 WORK = ".fetch"
 """Folder for downloads and unfinished data sets, in the folder of all data sets."""
 SOURCE = "source.json"
 """In each data set: the files that it was made from, and its licence."""
-LONGEST_HEADER_BYTES = 1 << 20
-"""Limit for a header of a tar archive: tarfile holds it in memory, and a small gzipped file can have gigabytes."""
-_IN_MEMORY = (
-    tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK, tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.SOLARIS_XHDTYPE
-)  # fmt: skip
-"""Kinds of tar headers with long names and other text."""
 ATTEMPTS = 5
 """Downloads of a file before one gives up."""
 TIMEOUT_S = 60.0
@@ -43,11 +38,8 @@ Choose = Callable[[str], str | None]
 """A member's path in the archive -> its path in the data set's folder, or None to leave it out."""
 
 
-class FetchError(ValueError):
+class FetchError(SequenceError):
     """A data set could not be fetched or prepared; the message names the address or file."""
-
-    def __str__(self) -> str:
-        return as_sentence(super().__str__())
 
 
 class ArchiveError(FetchError):
@@ -90,13 +82,10 @@ class SequenceOnDisk:
         """Open it and decode its first and last frame; returns a line that describes it.
 
         Raises:
-            FetchError: the reader refuses it.
+            SequenceError: the reader refuses it.
         """
-        try:
-            sequence = open_sequence(folder / self.path, **self.reader)
-            first, last = sequence[0], sequence[len(sequence) - 1]
-        except SequenceError as e:
-            raise FetchError(f"what was fetched cannot be read as a sequence: {e}") from None
+        sequence = open_sequence(folder / self.path, **self.reader)
+        first, last = sequence[0], sequence[len(sequence) - 1]
         depth_m = first.depth_m[first.depth_m > 0]
         seen = float((last.depth_m > 0).float().mean())
         return (
@@ -115,10 +104,9 @@ class Plan:
     licence: str
     """The terms in a sentence."""
     cite: str
-    items: Sequence[Item] = ()
-    """Nothing to download: ``convert`` makes it from a copy that the user has."""
+    items: Sequence[Item]
     unpacked_bytes: int
-    """Approximate size on disk in the end; an archive that unpacks to three times of it is refused."""
+    """Approximate size on disk in the end."""
     sequences: Callable[[Path], list[SequenceOnDisk]]
     """The sequences in the finished folder, and how to map them."""
     convert: Callable[[Path], object] = lambda folder: None
@@ -146,7 +134,7 @@ def fetch_data_set(plan: Plan, out: Path) -> None:
                 if item.save_as:
                     shutil.copyfile(file, folder / item.save_as)
                 else:
-                    unpack(file, folder, choose=item.choose, max_bytes=3 * plan.unpacked_bytes + 50_000_000)
+                    unpack(file, folder, choose=item.choose)
             plan.convert(folder)
         except ArchiveError:  # the same files would fail again
             for _, file in files:
@@ -202,14 +190,14 @@ def _download(item: Item, out: Path) -> Path:
         ) from None
 
 
-def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name, max_bytes: int) -> int:
+def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name) -> int:
     """Unpack the chosen regular files of a zip, tar or gzipped tar into ``folder``; the number of files written.
 
     Raises:
-        ArchiveError: not an archive, a damaged one, one with a path outside of the folder, one with none of the chosen
-            files, or more than ``max_bytes``.
+        ArchiveError: not an archive, a damaged one, one with a path outside of the folder, or with none of the chosen
+            files.
     """
-    count, left = 0, max_bytes
+    count = 0
     try:
         for name, source in _members(archive):
             path = choose(name)
@@ -219,41 +207,15 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name, m
                 raise ArchiveError(f"{archive.name} holds {shown(name)}, which is outside of the target folder")
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             with (folder / path).open("xb") as file:
-                while block := source.read(1 << 20):
-                    left -= len(block)
-                    if left < 0:
-                        raise ArchiveError(
-                            f"{archive.name} unpacks to more than {size_text(max_bytes)} at {shown(name)}, too much "
-                            "for this data set"
-                        )
-                    file.write(block)
+                shutil.copyfileobj(source, file)
             count += 1
-    except FileExistsError as e:
-        raise ArchiveError(f"{archive.name} holds two files for {shown(e.filename)}") from None
-    except ArchiveError:
-        raise
-    except OSError as e:
-        if e.errno is not None:  # of the disk; a damaged gzip has none
-            raise FetchError(f"{archive.name} could not be unpacked: {e}; free some space and run again") from None
-        raise ArchiveError(f"{archive.name} is damaged ({e}); run again to download it again") from None
-    except Exception as e:  # zipfile, tarfile and zlib raise what follows from the damaged bytes
+    except (zipfile.BadZipFile, tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError) as e:
         raise ArchiveError(
             f"{archive.name} is damaged or not an archive ({e}); run again to download it again"
         ) from None
     if not count:
         raise ArchiveError(f"{archive.name} holds none of the expected files")
     return count
-
-
-class _Member(tarfile.TarInfo):
-    """A header of a tar archive; one that holds a long name, which tarfile reads into memory, is limited."""
-
-    @classmethod
-    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> "_Member":
-        found = super().frombuf(buf, encoding, errors)
-        if found.type in _IN_MEMORY and found.size > LONGEST_HEADER_BYTES:
-            raise ArchiveError(f"the archive holds a header of {size_text(found.size)}; it may be a decompression bomb")
-        return found
 
 
 def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
@@ -267,7 +229,7 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
                             yield info.filename, source
             return
         opened.seek(0)
-        with tarfile.open(fileobj=opened, mode="r|*", tarinfo=_Member) as tar:
+        with tarfile.open(fileobj=opened, mode="r|*") as tar:
             for member in tar:
                 source = tar.extractfile(member) if member.isreg() else None
                 if source is not None:
@@ -302,21 +264,21 @@ def size_text(n_bytes: int) -> str:
 
 
 def run(
-    description: str, plans: Callable[[str], Plan], names: Sequence[str] = (), arguments: Sequence[str] | None = None
+    description: str, plans: Callable[[str], Plan], names: Sequence[str], arguments: Sequence[str] | None = None
 ) -> int:
     """The command line of a script: describe the data sets that are named, ask once, fetch them.
 
     Args:
         description: The script's docstring.
         plans: From a name to its plan.
-        names: Names that can be given; empty: any.
+        names: Names that can be given.
         arguments: Of the command line; None: those of the program.
 
     Returns:
         Exit status: 0 done, 1 an error (its message is printed), 130 interrupted.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", nargs="+", choices=names or None, help="which data sets")
+    parser.add_argument("name", nargs="+", choices=names, help="which data sets")
     parser.add_argument("--out", type=Path, default=Path("data"), help="folder of all data sets (default: data)")
     parser.add_argument("--yes", action="store_true", help="agree to download size and licence without a question")
     parser.add_argument("--keep-archives", action="store_true", help="keep the downloaded archives in OUT/.fetch")

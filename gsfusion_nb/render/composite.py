@@ -30,9 +30,9 @@ from torch import Tensor
 
 from ..backends import Record, op, piece
 from ..checks import check_positive
-from ..constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
-from ..operands import check_camera, check_operand
+from ..geometry.operands import check_camera, check_operand
 from ..types import Camera
+from .constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from .tiles import TileLists
 
 
@@ -116,12 +116,17 @@ def check_image_gradients(camera: Camera, v_rgb: Any, v_depth_m: Any, v_alpha: A
             check_operand(name, value, size, device=device)
 
 
+def check_record(saved: Any, maker: str, field: str) -> None:
+    """Raise ``ValueError`` unless this is the record that operation ``maker`` returns, which has a ``field``."""
+    if not issubclass(type(saved), Record) or not hasattr(saved, field):
+        raise ValueError(f"saved: the record that {maker} returns was expected, got {type(saved).__name__}")
+
+
 def check_composite_vjp(
     saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None, *, with_uv_abs: bool = False
 ) -> None:
     """Raise ``ValueError`` for arguments that ``composite_vjp`` refuses."""
-    if not issubclass(type(saved), Record) or not hasattr(saved, "tiles"):
-        raise ValueError(f"saved: the record that composite returns was expected, got {type(saved).__name__}")
+    check_record(saved, "composite", "tiles")
     check_image_gradients(saved.camera, v_rgb, v_depth_m, v_alpha, saved.opacity.device)
 
 

@@ -26,11 +26,11 @@ from torch import Tensor
 from ..backends import op, piece
 from ..checks import check_positive
 from ..config import DiscConfig
-from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from ..geometry import pixel_grid, quaternion, rays, se3
-from ..operands import INTEGERS, MASK, check_gaussians, check_operand, check_view
+from ..geometry.operands import INTEGERS, check_gaussians, check_operand, check_view
 from ..types import Camera, GaussianParams, RenderOutput
-from .rasterize import render_forward
+from .constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
+from .rasterize import check_rows, render_forward
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,8 +75,7 @@ def check_discs_vjp(
     """Raise ``ValueError`` for arguments that ``disc_depth_vjp`` refuses."""
     check_discs(params, camera, T_WC, hit_index, **options)  # pyright: ignore[reportArgumentType]
     check_operand("v_depth_m", v_depth_m, (camera.height, camera.width), device=params.xyz_W.device)
-    if rows is not None:
-        check_operand("rows", rows, (len(params),), dtypes=MASK, device=params.xyz_W.device)
+    check_rows(params.xyz_W, rows)
 
 
 @op("disc_depth", check_discs)

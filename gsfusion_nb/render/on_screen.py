@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import op
-from ..constants import ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ..geometry import se3
-from ..operands import check_gaussians, check_view
+from ..geometry.operands import check_gaussians, check_view
 from ..types import Camera, GaussianParams
 from .composite import blend_weights, pixel_offsets, splat_alpha
+from .constants import ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from .project import project_gaussians
 from .tiles import TileLists
 

@@ -35,13 +35,14 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from ..backends import Record, op, piece
 from ..checks import check_number
-from ..constants import ALPHA_MAX
+from ..geometry.operands import check_gaussians, check_operand, check_view
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
-from ..operands import MASK, check_gaussians, check_operand, check_view, check_written
 from ..types import Camera, GaussianParams, RenderOutput
-from .composite import absolute_uv_vjp, pixel_offsets, splat_alpha, splat_alpha_vjp
+from .composite import absolute_uv_vjp, check_record, pixel_offsets, splat_alpha, splat_alpha_vjp
+from .constants import ALPHA_MAX
 from .on_screen import ScreenGaussians
 from .project import project_gaussians, project_gaussians_vjp
+from .rasterize import check_rows
 from .tiles import tile_intersections
 
 
@@ -109,17 +110,10 @@ def check_over_base(params: Any, camera: Any, T_WC: Any, base: Any, *, behind_m:
 
 def check_over_base_vjp(saved: Any, v_rgb: Any, *, rows: Any = None, v_uv: Any = None, v_uv_abs: Any = None) -> None:
     """Raise ``ValueError`` for arguments that ``render_over_base_vjp`` refuses."""
-    if not issubclass(type(saved), Record) or not hasattr(saved, "behind_m"):
-        raise ValueError(f"saved: the record that render_over_base returns was expected, got {type(saved).__name__}")
+    check_record(saved, "render_over_base", "behind_m")
     like, camera = saved.params.xyz_W, saved.camera
     check_operand("v_rgb", v_rgb, (camera.height, camera.width, 3), dtypes=(like.dtype,), device=like.device)
-    if rows is not None:
-        check_operand("rows", rows, (len(like),), dtypes=MASK, device=like.device)
-    for name, out in (("v_uv", v_uv), ("v_uv_abs", v_uv_abs)):
-        if out is None:
-            continue
-        check_operand(name, out, (len(like), 2), dtypes=(like.dtype,), device=like.device)
-        check_written(**{name: out})
+    check_rows(like, rows, v_uv=v_uv, v_uv_abs=v_uv_abs)
 
 
 @op("over_base", check_over_base)

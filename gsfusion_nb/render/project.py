@@ -21,10 +21,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import piece
-from ..constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, SH_C0
 from ..geometry import quaternion, se3
-from ..geometry.spherical_harmonics import sh_to_rgb_vjp
+from ..geometry.spherical_harmonics import SH_C0, sh_to_rgb_vjp
 from ..types import Camera, GaussianParams
+from .constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from ..backends import Record, op
 from ..checks import check_positive
+from ..geometry.operands import MASK, check_gaussians, check_operand, check_view
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
-from ..operands import MASK, check_gaussians, check_operand, check_view, check_written
 from ..types import Camera, GaussianParams, RenderOutput
-from .composite import check_image_gradients, composite, composite_vjp
+from .composite import check_image_gradients, check_record, composite, composite_vjp
 from .on_screen import ScreenGaussians
 from .project import pose_matrix_vjp, project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections
@@ -77,17 +77,18 @@ def check_render_vjp(
     v_uv_abs: Any = None,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``render_vjp`` refuses."""
-    if not issubclass(type(saved), Record) or not hasattr(saved, "params"):
-        raise ValueError(f"saved: the record that render_forward returns was expected, got {type(saved).__name__}")
-    params, camera = saved.params, saved.camera
-    check_image_gradients(camera, v_rgb, v_depth_m, v_alpha, params.xyz_W.device)
+    check_record(saved, "render_forward", "params")
+    check_image_gradients(saved.camera, v_rgb, v_depth_m, v_alpha, saved.params.xyz_W.device)
+    check_rows(saved.params.xyz_W, rows, v_uv=v_uv, v_uv_abs=v_uv_abs)
+
+
+def check_rows(like: Tensor, rows: Any, **centres: Any) -> None:
+    """Raise ``ValueError`` unless the rows to train, and what is filled for the centres, fit those of ``like``."""
     if rows is not None:
-        check_operand("rows", rows, (len(params),), dtypes=MASK, device=params.xyz_W.device)
-    for name, out in (("v_uv", v_uv), ("v_uv_abs", v_uv_abs)):
-        if out is None:
-            continue
-        check_operand(name, out, (len(params), 2), dtypes=(params.xyz_W.dtype,), device=params.xyz_W.device)
-        check_written(**{name: out})
+        check_operand("rows", rows, (len(like),), dtypes=MASK, device=like.device)
+    for name, out in centres.items():
+        if out is not None:
+            check_operand(name, out, (len(like), 2), dtypes=(like.dtype,), device=like.device)
 
 
 @op("rasterize", check_render)
@@ -106,7 +107,7 @@ def render_forward(
         params, camera, T_WC: as given to ``render``.
         with_indices: Find the first and the dominant Gaussian of each pixel. An optimiser does not need them; with
             False both are ``None``, which is a little faster.
-        opaque_alpha: If given, also find the Gaussians for ``disc_depth``; the paper's is ``constants.OPAQUE_ALPHA``.
+        opaque_alpha: If given, also find the Gaussians for ``disc_depth``; the paper's is ``OPAQUE_ALPHA``.
         pixels: Draw only where this is true; elsewhere all images are 0, indices -1 and gradients zero. Tiles without
             such a pixel take no time. (Peng et al. 2024, RTG-SLAM, section 3.2.) [H, W]
 

@@ -8,24 +8,22 @@ from typing import Any, Literal
 
 import torch
 
-from ..config import SystemConfig, to_dict
+from ..config import SystemConfig
 from ..data import Sequence, SequenceError, apply_options, open_sequence
-from ..data.adjust.depth_agreement import check_sequence
+from ..data.adjust.depth_agreement import agreeing_share
 from ..data.stream import Policy
 from ..evaluation import ONLINE
-from ..export import read_gaussians
+from ..export import CheckpointStore, read_gaussian_ply
 from ..files import DiskFullError
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..optim import UpdateFunction
-from ..seeding import SeedingRule
-from ..seeding.rule_code import file_source
+from ..seeding import SeedingRule, rule_name
 from ..types import Frame, Mesh
 from ..work import ProgressDisplay, memory_is_full
 from . import outputs
 from .mapping_run import MappingRun, RunWatcher, has_poses
 from .resume import load_run
-from .run_folder import NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
-from .run_warnings import describe_full, doubts_about_frame, warn_of_little_space, why_empty
+from .run_folder import CHECKPOINTS, NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
 from .stream_run import StreamRun
 
 log = logging.getLogger(__name__)
@@ -62,10 +60,10 @@ def run_mapping(
         evaluate: Score mapped and held-out views and write the report; the maps are always written.
         checkpoints: How often to save a checkpoint, so that the run can be resumed if it is killed; every 30 s by
             default.
-        from_gaussians: File of Gaussians (``read_gaussians``) that the map begins with, in the frame of the poses.
+        from_gaussians: File of Gaussians (``read_gaussian_ply``) that the map begins with, in the frame of the poses.
         watch: Sees every mapped frame and the finished maps, such as ``viz.rerun_file.RerunFile``.
         loss, optimiser: Instead of the system's own loss and Adam (``Mapper``); metrics.json and config.json name them.
-        reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
+        reader_options: For ``open_sequence``: ``format``, options of the reader.
 
     Returns:
         The run with its folder and numbers. After Ctrl-C everything mapped so far is in the folder, and
@@ -81,15 +79,13 @@ def run_mapping(
         source, sequence = {}, apply_options(data, settings.data)
     mapper = make_mapper(settings, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
     if from_gaussians is not None:
-        mapper.begin_with(read_gaussians(from_gaussians), Path(from_gaussians).name)
+        mapper.begin_with(read_gaussian_ply(from_gaussians), Path(from_gaussians).name)
     run = MappingRun(sequence, mapper, source=source)
-    if from_gaussians is not None and settings.tracking.poses == "given":
-        run.warnings += doubts_about_frame(mapper, sequence.mapping, Path(from_gaussians).name)
     run.watchers += [watch] if watch is not None else []
     with RunFolder(new_folder(sequence.name, folder)) as place:
         if source and str(data) != "room" and has_poses(sequence):
             run.warnings += _doubts(sequence.mapping)
-        return drive(run, place, evaluate, every=checkpoints)
+        return drive(run, place.path, evaluate, every=checkpoints)
 
 
 def resume_mapping(
@@ -102,7 +98,6 @@ def resume_mapping(
     watch: RunWatcher | None = None,
     loss: LossFunction | None = None,
     optimiser: UpdateFunction | None = None,
-    changed_data: bool = False,
 ) -> "FinishedRun":
     """Continue a run that was interrupted or killed, in the same folder; other arguments as for ``run_mapping``.
 
@@ -110,7 +105,6 @@ def resume_mapping(
 
     Args:
         folder: Of the run.
-        changed_data: Go on with files that are not those that the run began with; a warning of the run says so.
 
     Raises:
         FileNotFoundError: The folder holds no checkpoint. FileExistsError: The run is still running.
@@ -119,14 +113,10 @@ def resume_mapping(
     if not Path(folder).is_dir():
         raise FileNotFoundError(f"{folder} does not exist; expected the folder of an interrupted run")
     with RunFolder(folder) as place:
-        run = load_run(
-            folder, seeding=seeding, device=device, changed_data=changed_data, loss=loss, optimiser=optimiser
-        )
+        run = load_run(folder, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
         run.warnings = [w for w in run.warnings if not w.startswith(_TRANSIENT)]
         run.watchers += [watch] if watch is not None else []
-        if place.taken_over:
-            log.warning(place.taken_over)
-        return drive(run, place, evaluate, every=checkpoints)
+        return drive(run, place.path, evaluate, every=checkpoints)
 
 
 def _settings(config: SystemConfig | str | None, system: str, *, is_room: bool) -> SystemConfig:
@@ -139,10 +129,11 @@ def _settings(config: SystemConfig | str | None, system: str, *, is_room: bool) 
 def _doubts(sequence: Sequence) -> list[str]:
     """A warning if poses or depth seem to follow another convention, checked on a few pairs of frames."""
     try:
-        verdict = check_sequence(sequence)
+        share = agreeing_share(sequence)
     except SequenceError:
         return []
-    return [] if verdict.ok else [f"depth and poses look {verdict}"]
+    said = f"only {share:.0%} of the points of a frame agree with a later frame; gsfusion-nb check finds out why"
+    return [] if share > 1 / 3 else [said]
 
 
 class FinishedRun:
@@ -164,7 +155,7 @@ class FinishedRun:
 
 def drive(
     run: MappingRun,
-    place: RunFolder,
+    folder: Path,
     evaluate: bool,
     map_frames: "Callable[[MappingRun, StopRequest], None] | None" = None,
     *,
@@ -174,37 +165,35 @@ def drive(
 
     Args:
         run: The run to do.
-        place: Its folder, locked.
+        folder: Its folder, locked.
         evaluate: Score views and write the report.
         map_frames: Does the online part until the frames end or a stop is requested; by default with a progress bar.
         every: How often to save a checkpoint.
     """
-    stop, folder = StopRequest(), place.path
-    _say(run, place, "running")
+    stop = StopRequest()
     outputs.write_rule(run, folder)
-    warn_of_little_space(run, folder)
-    run.after_step = Autosave(run.mapper, lambda: _checkpoint(run, place, stop), every or CheckpointEvery())
+    run.after_step = Autosave(run.mapper, lambda: _checkpoint(run, folder, stop), every or CheckpointEvery())
     with stop.listening():
         try:
             _work(run, stop, evaluate, map_frames or _with_progress)
             if stop:
                 scores = ", and the scores are computed (Ctrl-C once more leaves them out)" if evaluate else ""
                 log.warning("interrupted: the maps are being written%s", scores)
-            _checkpoint_before_files(run, place, stop)
+            _checkpoint_before_files(run, folder, stop)
             mesh = _save(run, folder, stop)
         except BaseException as e:
-            _rescue(run, place, stop, e)
+            _rescue(run, folder, stop, e)
             raise
         metrics: dict[str, Any] = outputs.map_metrics(run, mesh) | run.online_scores
         if evaluate:
-            _score(run, place, stop, mesh, metrics)
+            _score(run, folder, stop, mesh, metrics)
             outputs.write_page(run, folder, metrics)
         for watcher in run.watchers:
             watcher.finished(run.mapper, mesh, metrics)
         outputs.write_numbers(run, folder, metrics)  # after all other files: its status says that they are there
         if run.status != "interrupted" or not run.resumable:
-            run.remove_checkpoints(folder)
-    _say(run, place, run.status)
+            CheckpointStore(folder / CHECKPOINTS).remove()
+            run.store = None
     return FinishedRun(run, folder, metrics)
 
 
@@ -230,7 +219,7 @@ def _work(
     elif run.status == "running":
         run.status = "complete"
     if run.steps and not len(run.mapper.gaussians):
-        run.warnings.append(why_empty(run))
+        run.warnings.append(_why_empty(run))
 
 
 @contextlib.contextmanager
@@ -244,7 +233,7 @@ def _frames_may_be_undone(run: MappingRun, stop: StopRequest) -> Iterator[None]:
         guard.stop_wanted = lambda: False
 
 
-def _score(run: MappingRun, place: RunFolder, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]) -> None:
+def _score(run: MappingRun, folder: Path, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]) -> None:
     """Add the scores to ``metrics``; if stopped halfway, the scores computed so far are kept."""
     already = bool(stop)
     stop.wanted = False
@@ -256,20 +245,18 @@ def _score(run: MappingRun, place: RunFolder, stop: StopRequest, mesh: Mesh, met
     if stop and not already:
         run.status = "interrupted"
         run.warnings.append("interrupted while the views were scored; the maps are complete")
-        _checkpoint(run, place, stop)
+        _checkpoint(run, folder, stop)
 
 
-def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseException) -> None:
+def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseException) -> None:
     """Save what can be saved of a run that ends with ``error``, and say so in a note added to the error."""
     run.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
     run.warnings.append(f"ended by {type(error).__name__}: {error}")
     if run.mapper.guard.half_mapped:
         run.warnings.append(run.mapper.guard.half_mapped)
     notes: list[str] = []
-    attempts: list[Callable[[], Any]] = [lambda: _say(run, place, run.status)]
-    if run.steps:
-        attempts = [lambda: _checkpoint(run, place, stop), lambda: _save(run, place.path, stop), *attempts]
-    for attempt in attempts:
+    attempts: list[Callable[[], Any]] = [lambda: _checkpoint(run, folder, stop), lambda: _save(run, folder, stop)]
+    for attempt in attempts if run.steps else ():
         try:
             attempt()
         except DiskFullError as e:
@@ -280,38 +267,30 @@ def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseExc
             notes.append("There is too little memory to write all files.")
     if run.steps:
         saved = "saved" if not notes else "saved as far as the disk has space"
-        notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {place.path}.")
-    if run.resumable and run.has_checkpoint(place.path):
-        notes.append(f"To continue from the last checkpoint: gsfusion-nb map --resume {place.path}")
+        notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {folder}.")
+    if run.resumable and CheckpointStore(folder / CHECKPOINTS).exists:
+        notes.append(f"To continue from the last checkpoint: gsfusion-nb map --resume {folder}")
     if memory_is_full(error):
-        raise MemoryError(" ".join([f"{describe_full(run.mapper)}.", *notes])) from error
+        raise MemoryError(" ".join([f"{_describe_full(run.mapper)}.", *notes])) from error
     for note in notes:
         error.add_note(note)
 
 
-def _checkpoint(run: MappingRun, place: RunFolder, stop: StopRequest) -> None:
+def _checkpoint(run: MappingRun, folder: Path, stop: StopRequest) -> None:
     """Save a checkpoint if possible."""
     if run.can_be_saved:
         with stop.held_back():
-            run.save_checkpoint(place.path)
-            _say(run, place, "running")
+            run.save_checkpoint(folder)
 
 
-def _checkpoint_before_files(run: MappingRun, place: RunFolder, stop: StopRequest) -> None:
+def _checkpoint_before_files(run: MappingRun, folder: Path, stop: StopRequest) -> None:
     """Save a checkpoint before the maps are written, so that a run that is killed then is not lost."""
     try:
-        _checkpoint(run, place, stop)
+        _checkpoint(run, folder, stop)
     except DiskFullError as e:
         if run.status == "interrupted":
             raise
         log.warning(NOT_SAVED, e)
-
-
-def _say(run: MappingRun, place: RunFolder, state: str) -> None:
-    config, mapper = to_dict(run.mapper.config), run.mapper
-    progress = {"frames": len(run.steps), "of": len(run.sequence.mapping), "passes": mapper.passes.done}
-    place.write_status(state, progress, system=run.system, source=run.source, settings=config,
-                       rule_from_file=bool(file_source(mapper.rule)))  # fmt: skip
 
 
 def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
@@ -324,20 +303,25 @@ def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
 
 
 def _with_progress(run: MappingRun, stop: StopRequest) -> None:
-    seconds = 0.0
-    with ProgressDisplay("mapping", total=len(run.sequence.mapping), unit="frame", done=run.next_position) as progress:
-        for n, report in enumerate(run.online(), start=1):
+    """Map the frames that are left; of a stream it is not known how many there are."""
+    total, seconds = len(run.sequence.mapping) if run.resumable else None, 0.0
+    with (
+        ProgressDisplay("mapping", total=total, unit="frame", done=run.next_position) as progress,
+        contextlib.closing(run.online()) as reports,
+    ):
+        for n, report in enumerate(reports, start=1):
             seconds += report.total_seconds
             rate = f"{n / seconds:.1f} frames/s, " if seconds > 0 else ""  # a system may not time its stages
-            progress.show(run.next_position, note=f"{rate}{report.in_words}")
+            dropped = run.extra_metrics().get("n_frames_dropped")
+            note = f", {dropped} frames dropped" if dropped else ""
+            progress.show(run.next_position, note=f"{rate}{report.in_words}{note}")
             if stop:
                 return
 
 
 def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
-    steps: Iterator = run.optimise()
     with ProgressDisplay("optimising", unit="view", shown=bool(run.mapper.n_passes)) as progress:
-        for step in steps:
+        for step in run.optimise():
             progress.show(step.step, total=step.n_steps, note=f"loss {step.loss:.4f}")
             if stop:
                 return
@@ -348,7 +332,6 @@ def map_stream(
     mapper: Mapper,
     *,
     policy: Policy | None = None,
-    queue_frames: int = 4,
     folder: Path | str | None = None,
     evaluate: bool = True,
     on_stop: Literal["save", "finish"] = "save",
@@ -363,11 +346,10 @@ def map_stream(
     keyframes only a few frames are kept, for scoring.
 
     Args:
-        frames: Any iterable: a list, a generator, a camera (``RealSense``, ``AzureKinect``), a ``GrowingFolder``.
+        frames: Any iterable: a list, a generator, a camera (``RealSense``), a ``GrowingFolder``.
         mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
-        policy: "all", "queue", "latest" or "drop" (``gsfusion_nb.data.stream.POLICIES``); the source's own by
-            default ("latest" for cameras, "all" for anything else).
-        queue_frames: Largest number of waiting frames, for "all" and "queue".
+        policy: "all" or "latest" (``gsfusion_nb.data.stream.POLICIES``); the source's own by default ("latest" for
+            cameras, "all" for anything else).
         folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
         evaluate: Score the frames that were kept and write the report.
         on_stop: What Ctrl-C does: "save" ends the run; "finish" ends only the stream, and the optimisation and the
@@ -384,26 +366,37 @@ def map_stream(
     """
 
     def map_frames(run: MappingRun, stop: StopRequest) -> None:
-        _with_progress_of_stream(run, stop)
+        assert isinstance(run, StreamRun)
+        run.until = lambda: bool(stop)
+        _with_progress(run, stop)
         if stop and on_stop == "finish":
             run.warnings.append(f"the stream was ended by hand after {len(run.steps)} frames")
             stop.wanted = False
 
     with RunFolder(new_folder(getattr(frames, "name", "stream"), folder)) as place:
-        run = StreamRun(frames, mapper, policy=policy, queue_frames=queue_frames)
+        run = StreamRun(frames, mapper, policy=policy)
         run.watchers += [watch] if watch is not None else []
-        return drive(run, place, evaluate, map_frames, every=checkpoints)
+        return drive(run, place.path, evaluate, map_frames, every=checkpoints)
 
 
-def _with_progress_of_stream(run: MappingRun, stop: StopRequest) -> None:
-    assert isinstance(run, StreamRun)
-    run.until = lambda: bool(stop)
-    seconds = 0.0
-    with ProgressDisplay("mapping", unit="frame") as progress, contextlib.closing(run.online()) as reports:
-        for n, report in enumerate(reports, start=1):
-            seconds += report.total_seconds
-            dropped = run.extra_metrics()["n_frames_dropped"]
-            note = f"{n / max(seconds, 1e-9):.1f} frames/s, {report.in_words}, {dropped} frames dropped"
-            progress.show(n, note=note)
-            if stop:
-                return
+def _why_empty(run: MappingRun) -> str:
+    """A sentence that explains why the map has no Gaussians after at least one frame."""
+    n_seeds, rule = sum(step.n_seeds for step in run.steps), rule_name(run.mapper.rule)
+    if n_seeds:
+        why = f"all {n_seeds:,} that were created were removed again (see the settings under states)"
+        return f"the map has no Gaussians: {why}"
+    text = f"the map has no Gaussians: the seeding rule {rule!r} proposed none for any of the {len(run.steps)} frames"
+    with contextlib.suppress(SequenceError, StopIteration):
+        frame = next(iter(run.mapped_views(1)))
+        known = frame.depth_m[frame.depth_m > 0]
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+        text += f"; the depth of frame {frame.index} is from {low:.4g} to {high:.4g} m"
+    return f"{text}; the rule's options are {run.mapper.config.seeding.options or 'the defaults'}"
+
+
+def _describe_full(mapper: Mapper) -> str:
+    """A sentence that says what fills the memory, and which settings need less."""
+    less = ["smaller images (data.width)", *mapper.memory_savers]
+    if mapper.config.keyframes_on == "device":
+        less.append("keyframes in CPU memory (keyframes_on = 'cpu')")
+    return f"the memory of {mapper.device} is full of {mapper!r}; try {', '.join(less)}"

@@ -10,12 +10,12 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from ..checks import check_number, check_saved, check_whole
+from ..checks import check_number, check_saved, check_whole, shown
 from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
 from ..data.stream import read_ahead
-from ..errors import shown
-from ..export import CheckpointStore, Saved
+from ..export import CheckpointStore
 from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
+from ..seeding.rule_code import file_source
 from ..types import Frame, Mesh
 from .run_folder import CHECKPOINTS, StepLog, packed, random_state
 
@@ -109,7 +109,8 @@ class MappingRun:
         self.after_step: Callable[[], None] = lambda: None
         """Called after every frame and every step of the optimisation, when the state is complete."""
         self.watchers: list[RunWatcher] = []
-        self._stores: dict[Path, CheckpointStore] = {}
+        self.store: CheckpointStore | None = None
+        """Where the last checkpoint was saved, or read; it knows what need not be written again."""
         self.status = "running"
         """"running", "complete", "interrupted" (by the user) or "stopped" (the data ended with an error)."""
 
@@ -212,17 +213,19 @@ class MappingRun:
             start = time.perf_counter()
         self.is_optimised = True
 
-    def save_checkpoint(self, folder: Path) -> Saved:
+    def save_checkpoint(self, folder: Path) -> None:
         """Write a checkpoint to ``folder``, from which the run can be resumed; only what has changed is written."""
         document = {
             "system": self.system,
             "run": self.state_dict(),
             "source": self.source or self.stream(),
             "mapper": self.mapper.state_dict(),
+            "rule_from_file": bool(file_source(self.mapper.rule)),
             "random": random_state(),
         }
-        store = self._stores.setdefault(folder, CheckpointStore(folder / CHECKPOINTS))
-        return store.save(document, constant=self.constant_tensors())
+        if self.store is None or self.store.folder != folder / CHECKPOINTS:
+            self.store = CheckpointStore(folder / CHECKPOINTS)
+        self.store.save(document, constant=self.constant_tensors())
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors of the state that never change."""
@@ -236,14 +239,6 @@ class MappingRun:
     def can_be_saved(self) -> bool:
         """Whether a checkpoint can be saved now and used later."""
         return self.resumable and not self.mapper.guard.half_mapped
-
-    def has_checkpoint(self, folder: Path) -> bool:
-        """Whether ``folder`` holds a checkpoint."""
-        return CheckpointStore(folder / CHECKPOINTS).exists
-
-    def remove_checkpoints(self, folder: Path) -> None:
-        """Remove the checkpoints of a complete run."""
-        self._stores.pop(folder, CheckpointStore(folder / CHECKPOINTS)).remove()
 
     def state_dict(self) -> dict[str, Any]:
         """The state of the run without its mapper, as tensors and plain values."""
@@ -260,10 +255,6 @@ class MappingRun:
             "seconds_global": self.seconds_global,
             "is_optimised": self.is_optimised,
         }
-
-    def use_store(self, folder: Path, store: CheckpointStore) -> None:
-        """Save the next checkpoints in ``folder`` with this store."""
-        self._stores[folder] = store
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` saved.

@@ -6,7 +6,7 @@ import json
 import math
 import platform
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +28,12 @@ from ..evaluation import (
     trajectory_scores,
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
-from ..files import DiskFullError, write_file
-from ..mapping import Mapper
-from ..mapping.step import StepReport
+from ..files import write_file
 from ..seeding import is_built_in, rule_name, rule_source
 from ..seeding.rule_code import file_source
 from ..types import Mesh
 from .mapping_run import MappingRun
-from .report import FrameRow, ReportData, ReportView, write_report
+from .report import ReportData, ReportView, write_report
 from .run_folder import METRICS, RULE
 from .scored_views import (
     VIEWS,
@@ -79,14 +77,13 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     """Write both maps, the trajectory and the settings, before the evaluation.
 
     Raises:
-        DiskFullError: The disk has no space for a file; the files that fit are written.
+        DiskFullError: The disk has no space for a file; those before it are written.
     """
     try:
         mesh = run.mapper.mesh()
     except torch.OutOfMemoryError as e:
-        mesh = _mesh_when_full(run.mapper)
-        where = "extracted on the CPU" if len(mesh.faces) else "not extracted"
-        run.warnings.append(f"the mesh was {where}, because GPU memory was full: {str(e).splitlines()[0]}")
+        mesh = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3))
+        run.warnings.append(f"no mesh was made, because GPU memory was full: {str(e).splitlines()[0]}")
     run.hashes = map_hashes(run, mesh)
     settings = {
         "gsfusion_nb": __version__,
@@ -100,23 +97,13 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "training": run.mapper.training.names,
         "config": to_dict(run.mapper.config),
     }
-    writers: list[Callable[[], None]] = [
-        lambda: write_json(folder / "config.json", settings),
-        lambda: write_rule(run, folder),
-        lambda: write_json(folder / VIEWS, views_as_json(scored_views(run))),
-        lambda: _write_trajectory(run, folder),
-        lambda: write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params),
-        lambda: run.mapper.write_besides(folder),
-        lambda: write_mesh_ply(folder / "mesh.ply", mesh),
-    ]
-    problems: list[DiskFullError] = []
-    for write in writers:
-        try:
-            write()
-        except DiskFullError as e:
-            problems.append(e)
-    if problems:
-        raise problems[0]
+    write_json(folder / "config.json", settings)
+    write_rule(run, folder)
+    write_json(folder / VIEWS, views_as_json(scored_views(run)))
+    _write_trajectory(run, folder)
+    write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params)
+    run.mapper.write_besides(folder)
+    write_mesh_ply(folder / "mesh.ply", mesh)
     return mesh
 
 
@@ -141,15 +128,6 @@ def hash_of(tensors: Mapping[str, Tensor]) -> str:
         digest.update(f"{name} {values.dtype.name} {list(values.shape)}\n".encode())
         digest.update(values.reshape(-1).view("uint8").data)
     return digest.hexdigest()
-
-
-def _mesh_when_full(mapper: Mapper) -> Mesh:
-    """The mesh, extracted on the CPU; empty if the system cannot do that."""
-    if mapper.device.type == "cuda":
-        torch.cuda.empty_cache()
-    return mapper.mesh_on_cpu() or Mesh(
-        vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3)
-    )
 
 
 def write_rule(run: MappingRun, folder: Path) -> None:
@@ -193,15 +171,14 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         f"{len(run.steps)} frames",
         f"SH degree {config.sh_degree}",
         *(f"{kind} {name}" for kind, name in run.mapper.training.names.items()),
+        f"rule {rule_name(run.mapper.rule)}",
     ]
-    if run.mapper.uses_seeding_rule:
-        about.append(f"rule {rule_name(run.mapper.rule)}{run.mapper.rule_in_use.memory_note}")
     data = ReportData(
         title=f"{run.mapper.title} on {run.sequence.name}",
         subtitle=", ".join([*about, f"fidelity {fidelity}"] if fidelity else about),
         metrics=metrics,
         config=to_dict(config),
-        frames=[_frame_row(s) for s in run.steps],
+        frames=run.steps,
         global_losses=run.global_losses,
         views=_panels(run),
         mesh_pictures=_mesh_pictures(run),
@@ -224,7 +201,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         **run.mapper.training.names,
         "n_triangles": len(mesh.faces),
         **frame_rates(seconds),
-        **_tracking_rates(run),
+        **tracking_rates(run),
         **run.extra_metrics(),
         "seconds_online": sum(seconds),
         "seconds_global": run.seconds_global,
@@ -232,7 +209,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     }
 
 
-def _tracking_rates(run: MappingRun) -> dict[str, float]:
+def tracking_rates(run: MappingRun) -> dict[str, float]:
     """Frames per second of tracking alone and of mapping alone; empty if poses were not tracked."""
     tracking = sum(s.seconds.get("tracking", 0.0) for s in run.steps)
     if not run.mapper.localiser.is_tracking or not tracking:
@@ -281,12 +258,19 @@ def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_sample
     seen = cull_unseen(truth(), readable_frames(run.mapped_views(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed if seed is None else seed)
     scores = mesh_scores(mesh, seen, generator=generator, n_samples=n_samples)
-    metrics |= {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
+    metrics |= _named("mesh", scores)
     if run.mapper.gaussians_are_discs:
         discs = run.mapper.gaussians.params
         scores = disc_scores(discs, seen, generator=generator, n_samples=n_samples)
-        metrics |= {"disc_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics("disc")
+        metrics |= _named("disc", scores)
     return metrics
+
+
+def _named(what: str, scores: dict[str, float] | NotComputed) -> dict[str, Any]:
+    """Scores of a surface with the names of the metrics table."""
+    if isinstance(scores, NotComputed):
+        return {f"{what}_accuracy_m": scores}
+    return {f"{what}_{name}": value for name, value in scores.items()}
 
 
 def score_centres(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
@@ -296,7 +280,8 @@ def score_centres(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         return {}
     generator = torch.Generator().manual_seed(mapper.config.seed)
     distance = centres_to_own_mesh(mapper.gaussians.params, mesh, generator=generator)
-    return {"centres_to_own_mesh_m": distance} if isinstance(distance, NotComputed) else distance.as_metrics()
+    names = ("centres_to_own_mesh_m", "centres_to_own_mesh_m2")
+    return {names[0]: distance} if isinstance(distance, NotComputed) else dict(zip(names, distance, strict=True))
 
 
 def peak_memory_mb(device: torch.device) -> float | NotComputed:
@@ -359,20 +344,6 @@ def _mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
         pictures[f"colour, view {i + 1}"] = seen.rgb.clamp(0, 1).cpu()
         pictures[f"shape, view {i + 1}"] = shaded[..., None].expand(-1, -1, 3).cpu()
     return pictures
-
-
-def _frame_row(s: StepReport) -> FrameRow:
-    return FrameRow(
-        index=s.frame_index,
-        seconds=s.total_seconds,
-        n_gaussians=s.n_gaussians,
-        n_seeds=s.n_seeds,
-        keyframe=s.is_keyframe,
-        psnr_before=s.psnr_before_db,
-        psnr=s.psnr_after_db,
-        losses=s.losses,
-        stage_seconds=s.seconds,
-    )
 
 
 def _headline_warnings(run: MappingRun, most: int = 10) -> list[str]:

@@ -10,11 +10,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..drawing import pictures
-from ..drawing.page import PICTURE_WIDTH, ColourBar, PageGraph, PagePicture, fill, page_graph, page_picture
+from ..drawing.page import PICTURE_WIDTH, ColourBar, PageGraph, fill, page_graph, page_picture
 from ..drawing.pictures import AnyImage
 from ..evaluation.image import expected_depth_m, psnr, ssim
 from ..evaluation.metrics import METRIC_GROUPS, METRICS, NBSP, format_metric, format_value, reason_missing
 from ..files import write_file
+from ..mapping.step import StepReport
 from ..types import Frame, RenderOutput
 
 HEADLINE = (
@@ -28,29 +29,6 @@ HEADLINE = (
 """Per box: metric shown large, its label, metric in the line below, and the text of that line."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrameRow:
-    """Numbers of one mapped frame."""
-
-    index: int
-    """Frame number in the source sequence."""
-    seconds: float
-    """Time of the whole step, seconds."""
-    n_gaussians: int
-    """Number of Gaussians in the map after the step."""
-    n_seeds: int
-    """New Gaussians of this step."""
-    keyframe: bool
-    psnr_before: float = float("nan")
-    """PSNR of this view before the step's optimisation, dB; NaN if not measured."""
-    psnr: float = float("nan")
-    """PSNR of this view after it, dB."""
-    losses: tuple[float, ...] = ()
-    """Loss at each optimisation step."""
-    stage_seconds: Mapping[str, float] = field(default_factory=dict)
-    """Stage name -> seconds, in the order of the step."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportView:
     """One view: input image and render."""
@@ -61,15 +39,15 @@ class ReportView:
     """True if the view was never mapped."""
     rgb: Float[Tensor, "H W 3"]
     render: Float[Tensor, "H W 3"]
-    depth_m: Float[Tensor, "H W"] | None = None
+    depth_m: Float[Tensor, "H W"]
     """Measured depth, metres."""
-    render_depth_m: Float[Tensor, "H W"] | None = None
+    render_depth_m: Float[Tensor, "H W"]
     """Rendered depth, metres, 0 where the map covers nothing."""
+    psnr: float
+    """dB."""
+    ssim: float
     cells: Any = None
     """Quadtree cells of this frame (``x0, y0, width, height, level``), or None."""
-    psnr: float = float("nan")
-    """dB."""
-    ssim: float = float("nan")
 
     @staticmethod
     def of(frame: Frame, view: RenderOutput, *, held_out: bool, cells: Any = None) -> "ReportView":
@@ -99,7 +77,7 @@ class ReportData:
     """Name -> number or ``NotComputed``; the known names, labels and units are in ``metrics.METRIC_GROUPS``."""
     config: Mapping[str, Any] = field(default_factory=dict)
     """Settings as nested dictionaries, as from ``dataclasses.asdict``."""
-    frames: Sequence[FrameRow] = ()
+    frames: Sequence[StepReport] = ()
     global_losses: Sequence[float | int] = ()
     """Mean loss of each pass of the global optimisation."""
     views: Sequence[ReportView] = ()
@@ -119,14 +97,7 @@ def write_report(path: Path | str, run: ReportData) -> Path:
     Returns:
         The path written.
     """
-    path = Path(path)
-    write_file(path, report_html(run))
-    return path
-
-
-def report_html(run: ReportData) -> str:
-    """The page as HTML text."""
-    return fill(
+    page = fill(
         "report.html",
         title=run.title,
         subtitle=run.subtitle,
@@ -143,6 +114,9 @@ def report_html(run: ReportData) -> str:
         environment=_settings(run.environment),
         frame_rows=[_frame_cells(row) for row in run.frames],
     )
+    path = Path(path)
+    write_file(path, page)
+    return path
 
 
 def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -163,44 +137,30 @@ def _views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
     """Input, render and error of each view, and the same for depth; held-out views come first."""
     shown = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
-        scores = [] if math.isnan(panel.psnr) else [f"PSNR {panel.psnr:.2f}{NBSP}dB"]
-        scores += [] if math.isnan(panel.ssim) else [f"SSIM {panel.ssim:.3f}"]
-        picked = [*_colour_pictures(panel), *_depth_pictures(panel)]
-        shown.append({"name": panel.name, "held_out": panel.held_out, "scores": scores, "pictures": picked})
+        scores = [f"PSNR {panel.psnr:.2f}{NBSP}dB", f"SSIM {panel.ssim:.3f}"]
+        shown.append({"name": panel.name, "held_out": panel.held_out, "scores": scores, "pictures": _pictures(panel)})
     return shown
 
 
-def _colour_pictures(panel: ReportView) -> list[PagePicture]:
-    limit = pictures.ERROR_LIMIT
-    error = pictures.error_map(panel.render, panel.rgb)
-    bar = ColourBar(colours=pictures.ERROR_COLOURS, low="0", high=f"{limit:g} or more, of 1")
-    return [
-        page_picture(panel.rgb, "Input", alt=f"{panel.name}, input"),
-        page_picture(panel.render, "Render", alt=f"{panel.name}, render"),
-        page_picture(error, "|Render − input|, mean of channels", alt=f"{panel.name}, error", bar=bar),
-    ]
+def _pictures(panel: ReportView) -> list[dict[str, Any]]:
+    measured, rendered = panel.depth_m, panel.render_depth_m
+    near, far = pictures.depth_range_m(measured, rendered)
+    error, depth = pictures.ERROR_COLOURS, pictures.DEPTH_COLOURS
+    light = ColourBar(colours=error, low="0", high=f"{pictures.ERROR_LIMIT:g} or more, of 1")
+    metres = ColourBar(colours=depth, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m")
+    off = ColourBar(colours=error, low="0", high=f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more")
+    shown = (
+        ("Input", panel.rgb, None),
+        ("Render", panel.render, None),
+        ("|Render − input|, mean of channels", pictures.error_map(panel.render, panel.rgb), light),
+        ("Depth, measured (striped: missing)", pictures.colour_depth(measured, near, far), metres),
+        ("Depth, rendered (striped: missing)", pictures.colour_depth(rendered, near, far), metres),
+        ("|Rendered − measured depth|", pictures.depth_error_map(rendered, measured), off),
+    )
+    return [page_picture(image, words, alt=f"{panel.name}, {words}", bar=bar) for words, image, bar in shown]
 
 
-def _depth_pictures(panel: ReportView) -> list[PagePicture]:
-    pair = {"Depth, measured": panel.depth_m, "Depth, rendered": panel.render_depth_m}
-    known = {caption: depth for caption, depth in pair.items() if depth is not None}
-    if not known:
-        return []
-    near, far = pictures.depth_range_m(*known.values())
-    bar = ColourBar(colours=pictures.DEPTH_COLOURS, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m")
-    shown = []
-    for caption, depth in known.items():
-        image = pictures.colour_depth(depth, near, far)
-        shown.append(page_picture(image, f"{caption} (striped: missing)", alt=f"{panel.name}, {caption}", bar=bar))
-    if panel.depth_m is not None and panel.render_depth_m is not None:
-        error = pictures.depth_error_map(panel.render_depth_m, panel.depth_m)
-        limit = f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more"
-        bar = ColourBar(colours=pictures.ERROR_COLOURS, low="0", high=limit)
-        shown.append(page_picture(error, "|Rendered − measured depth|", alt=f"{panel.name}, depth error", bar=bar))
-    return shown
-
-
-def _quadtrees(panels: Sequence[ReportView]) -> list[PagePicture]:
+def _quadtrees(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
     """The input of each view that has quadtree cells, with the cells drawn over it."""
     shown = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
@@ -214,17 +174,17 @@ def _quadtrees(panels: Sequence[ReportView]) -> list[PagePicture]:
     return shown
 
 
-def _graphs(frames: Sequence[FrameRow], global_losses: Sequence[float | int]) -> list[PageGraph]:
+def _graphs(frames: Sequence[StepReport], global_losses: Sequence[float | int]) -> list[PageGraph]:
     """Time by stage, size of the map, PSNR and loss over the frames, and the loss of the global optimisation."""
-    x = [row.index for row in frames]
-    marks = {"marks": [row.index for row in frames if row.keyframe], "marks_label": "keyframe"}
+    x = [row.frame_index for row in frames]
+    marks = {"marks": [row.frame_index for row in frames if row.is_keyframe], "marks_label": "keyframe"}
     shown = []
     if frames:
         times = _stages_ms(frames)
         shown.append(page_graph("Time per frame", x, times, x_label="frame", y_label="time, ms", stacked=True))
         gaussians = {"Gaussians": [row.n_gaussians for row in frames]}
         shown.append(page_graph("Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks))
-    psnr = {"before the step": [r.psnr_before for r in frames], "after the step": [r.psnr for r in frames]}
+    psnr = {"before the step": [r.psnr_before_db for r in frames], "after the step": [r.psnr_after_db for r in frames]}
     psnr = {label: values for label, values in psnr.items() if not all(map(math.isnan, values))}
     if psnr:
         shown.append(page_graph("PSNR of the current view", x, psnr, x_label="frame", y_label="PSNR, dB", **marks))
@@ -242,10 +202,8 @@ def _graphs(frames: Sequence[FrameRow], global_losses: Sequence[float | int]) ->
     return shown
 
 
-def _stages(frames: Sequence[FrameRow]) -> list[dict[str, str]]:
+def _stages(frames: Sequence[StepReport]) -> list[dict[str, str]]:
     """Time of each stage: per frame, in total, and as a share."""
-    if not frames or not _stage_names(frames):
-        return []
     times = {name: sum(ms) for name, ms in _stages_ms(frames).items()}
     whole = sum(times.values()) or 1.0
     return [
@@ -259,17 +217,10 @@ def _stages(frames: Sequence[FrameRow]) -> list[dict[str, str]]:
     ]
 
 
-def _stage_names(frames: Sequence[FrameRow]) -> list[str]:
-    return list(dict.fromkeys(name for row in frames for name in row.stage_seconds))
-
-
-def _stages_ms(frames: Sequence[FrameRow]) -> dict[str, list[float]]:
-    """Stage -> milliseconds per frame; time outside all stages is "other", so the sum is the time of the whole step."""
-    times = {n: [1e3 * row.stage_seconds.get(n, 0.0) for row in frames] for n in _stage_names(frames)}
-    rest = [max(0.0, 1e3 * (row.seconds - sum(row.stage_seconds.values()))) for row in frames]
-    if not times:
-        return {"whole step": rest}
-    return {**times, "other": rest} if sum(rest) > 0.005 * sum(1e3 * row.seconds for row in frames) else times
+def _stages_ms(frames: Sequence[StepReport]) -> dict[str, list[float]]:
+    """Stage -> milliseconds per frame."""
+    names = dict.fromkeys(name for row in frames for name in row.seconds)
+    return {name: [1e3 * row.seconds.get(name, 0.0) for row in frames] for name in names}
 
 
 def _metric_groups(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -298,14 +249,14 @@ def _settings(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, st
     return rows
 
 
-def _frame_cells(row: FrameRow) -> tuple[str, ...]:
+def _frame_cells(row: StepReport) -> tuple[str, ...]:
     """One row of the table of frames."""
 
     def number(value: float, digits: int) -> str:
         return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
     return (
-        f"{row.index}", "●" if row.keyframe else "", f"{1e3 * row.seconds:,.0f}", f"{row.n_seeds:,}",
-        f"{row.n_gaussians:,}", number(row.psnr_before, 2), number(row.psnr, 2),
+        f"{row.frame_index}", "●" if row.is_keyframe else "", f"{1e3 * row.total_seconds:,.0f}", f"{row.n_seeds:,}",
+        f"{row.n_gaussians:,}", number(row.psnr_before_db, 2), number(row.psnr_after_db, 2),
         number(row.losses[-1] if row.losses else math.nan, 4),
     )  # fmt: skip

@@ -2,19 +2,16 @@
 
 import dataclasses
 import logging
-import re
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from .. import __version__
 from ..config import DataConfig, from_dict
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
-from ..errors import SequenceError, SequenceNotFoundError, shown
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
-from ..foreign import parsing, read_object
+from ..files import SequenceNotFoundError, parsing, read_object
 from ..mapping.systems import get_system
 from ..types import GaussianParams
 from .outputs import write_json
@@ -35,8 +32,7 @@ def rescore(
 
     The system renders as in the run, from gaussians.ply (GPS-SLAM: and tsdf.npz), at the poses in views.json. On the
     same device and backend the scores are equal to the run's, bit for bit. If some differ, the log and the warnings in
-    metrics.json list them, and the old file is kept as metrics-before-eval.json. A warning also says if the data has
-    other frames, poses or images than in the run.
+    metrics.json list them. A warning also says if the data has other frames, poses or images than in the run.
 
     Args:
         folder: Folder of the run.
@@ -58,6 +54,7 @@ def rescore(
         source = dict(settings["source"])
         system = get_system(settings.get("system", "gsfusion"))
         config = from_dict(system.config_type, settings["config"])
+        stored_device = torch.device(settings["device"])
     if data is not None:
         source["path_or_name"] = data
     if "path_or_name" not in source:
@@ -73,7 +70,7 @@ def rescore(
             f"{source['path_or_name']} does not hold the data that this run was mapped from: the scores "
             "compare the map with other images",
         )
-    place = torch.device(device) if device else _device_of(settings.get("device", "cpu"), folder / "config.json")
+    place = torch.device(device or (stored_device if torch.cuda.is_available() else "cpu"))
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
 
     draw = system.drawn_from(folder, params, config)
@@ -84,9 +81,8 @@ def rescore(
         scores = {name: value for name, value in scores.items() if not (name.startswith("lpips") and name in stored)}
     changed = [name for name, value in scores.items() if _is_number(stored.get(name)) and value != stored[name]]
     if changed:
-        kept = _free_name(folder)
-        write_json(kept, document)
-        _warn(document, _difference(changed, stored, scores, settings.get("gsfusion_nb", ""), kept))
+        differences = ", ".join(f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed)
+        _warn(document, f"these scores differ from those of the run: {differences}")
     document["metrics"] = stored | scores
     write_json(folder / METRICS, document)
     return document["metrics"]
@@ -107,16 +103,7 @@ def _sequence_of(folder: Path, source: dict[str, Any], data: DataConfig) -> Open
 def _warn(document: dict[str, Any], sentence: str) -> None:
     """Log a warning, and write it, once, among those of metrics.json."""
     log.warning(sentence)
-    before = document.get("warnings")
-    if not isinstance(before, list) or sentence not in before:
-        document["warnings"] = [*(before if isinstance(before, list) else []), sentence]
-
-
-def _device_of(stored: object, path: Path) -> torch.device:
-    """The device of the run; the processor where there is no GPU now."""
-    if stored not in ("cpu", "cuda") and not (isinstance(stored, str) and re.fullmatch(r"cuda:\d", stored)):
-        raise SequenceError(f"{path}: device must be cpu or cuda, got {shown(stored)}; name one with --device")
-    return torch.device(str(stored) if torch.cuda.is_available() else "cpu")
+    document["warnings"] = list(dict.fromkeys([*document.get("warnings", ()), sentence]))
 
 
 def _of_degree(params: GaussianParams, degree: int, device: torch.device) -> GaussianParams:
@@ -129,20 +116,5 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) or value == "infinite"
 
 
-def _difference(changed: list[str], stored: dict, scores: dict, version: str, kept: Path) -> str:
-    """A sentence that lists the scores that differ from the run's, and the file that keeps those."""
-    differences = ", ".join(f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed)
-    by = f" (mapped by version {version}, scored by {__version__})" if version and version != __version__ else ""
-    return f"these scores differ from those of the run{by}: {differences}; the old ones are in {kept.name}"
-
-
 def _short(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _free_name(folder: Path) -> Path:
-    """A file name next to metrics.json that is not used yet."""
-    n = 1
-    while (path := folder / f"metrics-before-eval{'' if n == 1 else f'-{n}'}.json").exists():
-        n += 1
-    return path

@@ -11,17 +11,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
-from ..constants import SHOWN_ALPHA
 from ..data import SequenceView
 from ..data.adjust.repair import RepairedSequence
-from ..errors import SequenceError
 from ..evaluation import ImageScores, score_view
-from ..foreign import read_object, reason_of
+from ..files import SequenceError, read_object, reason_of
 from ..geometry import se3
 from ..mapping.localiser import Localiser
 from ..mapping.mapper import Draw
 from ..mapping.training import exposure_between
 from ..optim import exposed, fit_gain
+from ..render.constants import SHOWN_ALPHA
 from ..types import Frame, RenderOutput
 from .mapping_run import MappingRun, evenly, has_poses
 

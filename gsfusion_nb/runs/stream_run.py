@@ -35,7 +35,6 @@ class StreamRun(MappingRun):
         mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
         policy: What happens to frames when mapping is slower than the source
             (``gsfusion_nb.data.stream.POLICIES``); by default the policy of the source, or "all".
-        queue_frames: Largest number of waiting frames, for "all" and "queue".
         until: Called while no frame arrives; the stream ends when it returns True.
 
     Raises:
@@ -50,7 +49,6 @@ class StreamRun(MappingRun):
         mapper: Mapper,
         *,
         policy: Policy | None = None,
-        queue_frames: int = 4,
         until: Callable[[], bool] = lambda: False,
     ):
         name = getattr(frames, "name", "stream")
@@ -62,7 +60,7 @@ class StreamRun(MappingRun):
         data = self.mapper.config.data
         earlier = self.mapper.localiser.frame_indices
         selected = SelectedFrames(frames, data, name=name, first_index=max(earlier, default=-1) + 1)
-        self._feed = BackgroundFrames(selected, policy=self.policy, size=queue_frames, until=lambda: self.until())
+        self._feed = BackgroundFrames(selected, policy=self.policy, until=lambda: self.until())
         self._n_taken = self.n_unusable = 0
         self._holds_out = data.hold_out_every > 0 and (self.kept.has_poses or not self.mapper.localiser.is_tracking)
         self._n_earlier = len(earlier)
@@ -101,9 +99,9 @@ class StreamRun(MappingRun):
         frames = [*self.kept.kept_mapped.items, *self.kept.kept_held_out.items]
         return [*super().constant_tensors(), *(image for f in frames for image in (f.colour, f.depth_m))]
 
-    def frames(self) -> "_Feed":
-        """The frames that come, without those held out."""
-        return _Feed(self)
+    def frames(self) -> "StreamRun":
+        """The frames that come, without those held out: the run gives them itself."""
+        return self
 
     @property
     def poses(self) -> list[Any]:
@@ -118,13 +116,13 @@ class StreamRun(MappingRun):
     def extra_metrics(self) -> dict[str, Any]:
         """Numbers of frames received, dropped and unusable, and the policy."""
         return {
-            "n_frames_received": self._feed.queue.n_received,
-            "n_frames_dropped": self._feed.queue.n_dropped,
+            "n_frames_received": self._feed.n_received,
+            "n_frames_dropped": self._feed.n_dropped,
             "n_frames_unusable": self.n_unusable,
             "policy": self.policy,
         }
 
-    def next_frame(self) -> Frame:
+    def __next__(self) -> Frame:
         """The next frame to map; held-out frames are stored and passed over."""
         data = self.mapper.config.data
         while True:
@@ -177,20 +175,6 @@ class _Ended:
 
     def __iter__(self) -> Iterator[Frame]:
         return iter(())
-
-
-class _Feed:
-    """The frames of a run in order; closing it ends the source."""
-
-    def __init__(self, run: StreamRun):
-        self._run = run
-
-    def __next__(self) -> Frame:
-        return self._run.next_frame()
-
-    def close(self) -> None:
-        """Stop: no more frames will be read."""
-        self._run.close()
 
 
 class KeptFrames:

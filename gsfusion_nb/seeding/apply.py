@@ -10,10 +10,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import observed
-from ..checks import check_finite, check_shape
-from ..errors import shown
-from ..operands import MAX_DISTANCE_M
-from ..types import Seeds, rgb_of_bytes
+from ..checks import check_finite, check_shape, shown
+from ..geometry.operands import MAX_DISTANCE_M
+from ..types import Seeds
 from .context import SeedContext
 from .rule import Option, SeedingRule, get_rule, is_map_rule, option_values, rule_name
 
@@ -73,20 +72,6 @@ def equal_memories(a: Any, b: Any) -> bool:
     return a == b or (a != a and b != b)
 
 
-def describe_memory(memory: dict[str, Any]) -> str:
-    """The names in a memory and the size of each: "occupied 1,024 x 3 int64, calls 12"; "empty" without any."""
-    return ", ".join(f"{name} {_size(value)}" for name, value in memory.items()) or "empty"
-
-
-def _size(value: Any) -> str:
-    if isinstance(value, Tensor):
-        sides = " x ".join(f"{side:,}" for side in value.shape)
-        return " ".join(filter(None, (sides, str(value.dtype).removeprefix("torch."))))
-    if isinstance(value, (dict, list, tuple)):
-        return f"({len(value):,} values)"
-    return shown(value)
-
-
 def move_memory(memory: Any, transform_of: Callable[[Int[Tensor, " N"]], Float[Tensor, "N 4 4"]]) -> None:
     """Move the values in world coordinates with the map, in place, as a loop closure moves Gaussians and keyframes.
 
@@ -115,13 +100,12 @@ def _check_world(rule: str, memory: dict[str, Any], name: str) -> None:
     """Raise ``TypeError`` for values in world coordinates without the frame of each row, by which they are moved."""
     for key in _WORLD.keys() & memory.keys():
         value, frame = memory[key], memory.get("frame_index")
-        rows = len(frame) if isinstance(frame, Tensor) and frame.dtype == torch.int64 and frame.ndim == 1 else -1
-        is_float = isinstance(value, Tensor) and value.is_floating_point()
-        if not is_float or tuple(value.shape) != (rows, *_WORLD[key]):
+        n = len(frame) if isinstance(frame, Tensor) and frame.ndim == 1 and not frame.is_floating_point() else -1
+        if not isinstance(value, Tensor) or tuple(value.shape) != (n, *_WORLD[key]):
             raise TypeError(
-                f"seeding rule {rule!r}: {name}[{key!r}] is moved when a loop closes, so it must be a floating-point "
-                f"tensor [N, {', '.join(map(str, _WORLD[key]))}] beside {name}['frame_index'], an int64 tensor [N] "
-                f"with ctx.frame.index for each row; got {_size(value)} and {_size(frame)}"
+                f"seeding rule {rule!r}: {name}[{key!r}] is moved when a loop closes, so it must be a tensor "
+                f"[N, {', '.join(map(str, _WORLD[key]))}] beside {name}['frame_index'], an int64 tensor [N] with "
+                "ctx.frame.index for each row"
             )
 
 
@@ -147,18 +131,15 @@ def apply_rule(
         KeyError: no such rule. TypeError: unknown option, wrong type of option or of result, or something in the
             rule's memory that cannot be saved.
         ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1, or an
-            implausibly large position or scale. ChangedInputError: the rule changed the frame or the map in place.
+            implausibly large position or scale.
     """
     found = get_rule(rule)
     values: Any = option_values(found, options or {})
-    versions = Versions(ctx)
     if is_map_rule(found):
         seeds = found(**values).seeds(ctx, ctx.memory)
     else:
         seeds = cast(Callable[..., Seeds], found)(ctx, **values)
     check_memory(rule_name(rule), ctx.memory)
-    if changed := versions.changed():
-        raise ChangedInputError(rule_name(rule), changed)
     try:
         _check_seeds(seeds, ctx)
     except (TypeError, ValueError) as error:
@@ -197,22 +178,6 @@ def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"], taken: Int[Tenso
     return seeds[order[best[best < len(seeds)]].sort().values]
 
 
-def _is_plausible(seeds: Seeds) -> bool:
-    """Whether all values are finite and within the limits of ``_check_seeds``. A GPU is waited for once."""
-    columns = [getattr(seeds, name) for name in _COLUMNS if name != "tag"]
-    extremes = [extreme for column in (*columns, seeds.quat.norm(dim=-1)) for extreme in torch.aminmax(column)]
-    values = torch.stack(extremes).tolist()  # those of a NaN are NaN
-    xyz, rgb, scale_m, _, opacity, length = zip(values[::2], values[1::2], strict=True)
-    return (
-        all(map(math.isfinite, values))
-        and max(-xyz[0], xyz[1]) <= MAX_DISTANCE_M
-        and 0 <= rgb[0] <= rgb[1] <= 1
-        and 0 < scale_m[0] <= scale_m[1] < MAX_DISTANCE_M
-        and 0 < opacity[0] <= opacity[1] < 1
-        and length[0] > 1e-6
-    )
-
-
 def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
     if not isinstance(seeds, Seeds):
         hint = " (is there a return?)" if seeds is None else ""
@@ -225,65 +190,25 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
             raise ValueError(f"{name} must be on the frame's device {ctx.frame.depth_m.device}, got {column.device}")
         if name != "tag" and not column.is_floating_point():
             raise ValueError(f"{name} must be floating point, got {column.dtype}")
-    if n == 0 or _is_plausible(seeds):
+    if n == 0:
         return
-    length = seeds.quat.norm(dim=-1)
-    far = f"{MAX_DISTANCE_M:,.0f} m"
-    limits = (
-        (f"xyz_W must be within {far} of the origin", seeds.xyz_W, seeds.xyz_W.abs() <= MAX_DISTANCE_M),
-        (f"scale_m must be below {far}", seeds.scale_m, seeds.scale_m < MAX_DISTANCE_M),
-        ("scale_m must be > 0", seeds.scale_m, seeds.scale_m > 0),
-        ("opacity must lie strictly between 0 and 1", seeds.opacity, (seeds.opacity > 0) & (seeds.opacity < 1)),
-        ("rgb must lie in 0..1", seeds.rgb, (seeds.rgb >= 0) & (seeds.rgb <= 1)),
-        ("quat must not be zero", length, length > 1e-6),
-    )
-    for name in _COLUMNS:
-        if name != "tag":
-            check_finite(name, getattr(seeds, name))
-    for rule, values, ok in limits:
-        if not ok.all():
-            bad = values[~ok]
-            row = int((~ok).nonzero()[0, 0])
-            raise ValueError(
-                f"{rule}, got {len(bad)} other values, from {float(bad.min()):g} to {float(bad.max()):g}, the first of "
-                f"them in row {row}"
-            )
-
-
-class ChangedInputError(RuntimeError):
-    """A seeding rule changed the frame or the map in place.
-
-    Args:
-        rule: Name of the rule.
-        what: Which tensors.
-    """
-
-    def __init__(self, rule: str, what: list[str]):
-        super().__init__(
-            f"seeding rule {rule!r} changed {' and '.join(what)} in place; a rule must leave its inputs unchanged: "
-            "work on a copy (x.clone())"
-        )
-        self.what = " and ".join(what)
-        self.changed_map = any(not name.startswith("frame.") for name in what)
-
-
-class Versions:
-    """torch's version counters of a context's tensors at one time.
-
-    Writes through ``numpy()`` are not counted; ``check_rule`` finds those.
-    """
-
-    def __init__(self, context: SeedContext):
-        self._frame = context.frame
-        self._tensors = [(name, tensor, _version(tensor)) for name, tensor in context_tensors(context)]
-
-    def changed(self) -> list[str]:
-        """Names of the tensors that have been changed since."""
-        names = [name for name, tensor, version in self._tensors if _version(tensor) != version]
-        made = vars(self._frame).get("rgb")  # floats that the rule was the first to ask for
-        if made is not None and all(made is not tensor for _, tensor, _ in self._tensors):
-            names += ["frame.rgb"] * (_version(made) != _version(rgb_of_bytes(self._frame.colour[:1, :1])))
-        return names
+    far, columns = f"{MAX_DISTANCE_M:,.0f} m", {name: getattr(seeds, name) for name in _COLUMNS if name != "tag"}
+    columns["length of quat"] = seeds.quat.norm(dim=-1)
+    extremes = torch.stack([x for column in columns.values() for x in torch.aminmax(column)])
+    values = extremes.tolist()  # a GPU is waited for once; the extremes of a NaN are NaN
+    found = dict(zip(columns, zip(values[::2], values[1::2], strict=True), strict=True))
+    for name, (low, high) in found.items():
+        if not (math.isfinite(low) and math.isfinite(high)):
+            check_finite(name, columns[name])
+        wanted, fits = {
+            "xyz_W": (f"within {far} of the origin", max(-low, high) <= MAX_DISTANCE_M),
+            "rgb": ("in 0..1", low >= 0 and high <= 1),
+            "scale_m": (f"above 0 and below {far}", low > 0 and high < MAX_DISTANCE_M),
+            "opacity": ("strictly between 0 and 1", low > 0 and high < 1),
+            "length of quat": ("above 0", low > 1e-6),
+        }.get(name, ("", True))
+        if not fits:
+            raise ValueError(f"{name} must be {wanted}, got {low:g} to {high:g}")
 
 
 def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
@@ -308,7 +233,3 @@ def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
     for name in ("D", "W", "rgb"):
         if isinstance(values := getattr(context.volume, name, None), Tensor):
             yield f"volume.{name}", values
-
-
-def _version(tensor: Tensor) -> int:
-    return 0 if tensor.is_inference() else tensor._version

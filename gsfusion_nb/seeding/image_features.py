@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from ..constants import LUMA_WEIGHTS
 from ..types import Frame
+from .quadtree import LUMA_WEIGHTS
 
 NO_GRADIENT = 0.01
 """Gradients of the brightness well below this are noise, per pixel."""

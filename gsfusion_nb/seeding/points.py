@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..constants import SH_C0
 from ..geometry import quaternion
+from ..geometry.spherical_harmonics import SH_C0
 from ..types import Camera, Frame, GaussianParams
 
 _DISTANCES = 1 << 25
@@ -48,12 +48,6 @@ def k_nearest(
     return by_all_distances(xyz_W, others_W, k)
 
 
-def nearest_of(xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int) -> Neighbours:
-    """The ``k`` nearest of ``others_W`` for each point. Differentiable: no."""
-    distance, row = k_nearest(xyz_W, others_W, k)
-    return Neighbours(distance_m=distance, row=row.masked_fill(row == len(others_W), -1))
-
-
 def nearest_others(xyz_W: Float[Tensor, "M 3"], more_W: Float[Tensor, "N 3"], k: int) -> Neighbours:
     """The ``k`` nearest neighbours of each point among the other points and ``more_W``.
 
@@ -67,19 +61,6 @@ def nearest_others(xyz_W: Float[Tensor, "M 3"], more_W: Float[Tensor, "N 3"], k:
     kept = other.byte().sort(dim=1, descending=True, stable=True).indices[:, :k]
     row = row.gather(1, kept)
     return Neighbours(distance_m=distance.gather(1, kept), row=row.masked_fill(row == len(everything), -1))
-
-
-def outliers(xyz_W: Float[Tensor, "M 3"], neighbours: int = 40, std_ratio: float = 2.0) -> Bool[Tensor, " M"]:
-    """Points whose mean distance to their neighbours exceeds that of all points by ``std_ratio`` standard deviations.
-
-    The statistical outlier filter of point cloud libraries (Rusu et al. 2008). With fewer points, all others are the
-    neighbours of each. Differentiable: no.
-    """
-    k = min(neighbours, len(xyz_W) - 1)
-    if k < 1:
-        return torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
-    mean = nearest_others(xyz_W, xyz_W[:0], k).distance_m.mean(dim=1)
-    return mean > mean.mean() + std_ratio * mean.std()
 
 
 def by_all_distances(
@@ -107,34 +88,6 @@ def voxel_keys(xyz_W: Float[Tensor, "N 3"], voxel_size_m: float) -> Int[Tensor, 
     only if they are 2^21 voxels apart."""
     x, y, z = ((xyz_W / voxel_size_m).floor().long() & ((1 << _BITS) - 1)).unbind(dim=1)
     return (x << 2 * _BITS) | (y << _BITS) | z
-
-
-def first_in_voxel(xyz_W: Float[Tensor, "N 3"], voxel_size_m: float) -> Bool[Tensor, " N"]:
-    """True for the first point of each voxel."""
-    keys, group = voxel_keys(xyz_W, voxel_size_m).unique(return_inverse=True)
-    row = torch.arange(len(xyz_W), device=xyz_W.device)
-    first = torch.full_like(keys, len(xyz_W)).scatter_reduce_(0, group, row, "amin")
-    return first[group] == row
-
-
-def draw(n: int, count: int, generator: torch.Generator) -> Int[Tensor, " K"]:
-    """``count`` of the numbers 0 .. n - 1, all equally likely, in increasing order; all if there are fewer."""
-    order = torch.randperm(n, generator=generator, device=generator.device)
-    return order[: max(count, 0)].sort().values
-
-
-def draw_weighted(weight: Float[Tensor, " N"], count: int, generator: torch.Generator) -> Int[Tensor, " K"]:
-    """``count`` of the rows, drawn one after another with probabilities in proportion to the weights of those that are
-    left, in increasing order; a row of weight 0 is never drawn, so there may be fewer.
-
-    The ``count`` smallest of E_i / w_i with E_i exponentially distributed have this distribution (Efraimidis and
-    Spirakis 2006).
-    """
-    uniform = torch.rand(len(weight), generator=generator, device=generator.device).to(weight.device)
-    key = -torch.log1p(-uniform) / weight
-    key = torch.where(weight > 0, key, torch.inf)
-    count = min(max(count, 0), int((weight > 0).sum()))
-    return key.argsort(stable=True)[:count].sort().values
 
 
 VISIBLE, GRADIENT, ABS_GRADIENT = "times_visible", "image_gradient", "abs_image_gradient"
@@ -308,7 +261,10 @@ class PointQueries:
             map's.
         """
         existing = self.map.xyz_W if among != "new" and self.has_map else xyz_W[:0]
-        return nearest_of(xyz_W, existing, k) if among == "map" else nearest_others(xyz_W, existing, k)
+        if among != "map":
+            return nearest_others(xyz_W, existing, k)
+        distance, row = k_nearest(xyz_W, existing, k)
+        return Neighbours(distance_m=distance, row=row.masked_fill(row == len(existing), -1))
 
     def occupied(self, xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
         """Whether the voxel that contains each point holds the centre of a Gaussian of the map. [M]
@@ -326,32 +282,44 @@ class PointQueries:
 
     def first_in_voxel(self, xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
         """True for the first of the points in each voxel. [M]"""
-        return first_in_voxel(xyz_W, voxel_size_m)
+        keys, group = voxel_keys(xyz_W, voxel_size_m).unique(return_inverse=True)
+        row = torch.arange(len(xyz_W), device=xyz_W.device)
+        first = torch.full_like(keys, len(xyz_W)).scatter_reduce_(0, group, row, "amin")
+        return first[group] == row
 
     def outliers(self, xyz_W: Float[Tensor, "M 3"], k: int = 40, std_ratio: float = 2.0) -> Bool[Tensor, " M"]:
         """Points whose mean distance to their ``k`` nearest others exceeds the mean of all points by ``std_ratio``
-        standard deviations (the statistical outlier filter, Rusu et al. 2008). [M]"""
-        return outliers(xyz_W, k, std_ratio)
+        standard deviations (the statistical outlier filter, Rusu et al. 2008). With fewer points, all others are the
+        neighbours of each. [M]"""
+        k = min(k, len(xyz_W) - 1)
+        if k < 1:
+            return torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
+        mean = nearest_others(xyz_W, xyz_W[:0], k).distance_m.mean(dim=1)
+        return mean > mean.mean() + std_ratio * mean.std()
 
     def draw(self, n: int, count: int) -> Int[Tensor, " K"]:
         """``count`` of the numbers 0 .. n - 1 at random, without replacement, in increasing order; all if there are
         fewer. On the frame's device. [K]"""
-        return draw(n, count, self.generator).to(self.frame.depth_m.device)
+        order = torch.randperm(n, generator=self.generator, device=self.generator.device)
+        return order[: max(count, 0)].sort().values.to(self.frame.depth_m.device)
 
     def draw_weighted(self, weight: Float[Tensor, " N"], count: int) -> Int[Tensor, " K"]:
         """``count`` rows at random, without replacement, with probabilities in proportion to ``weight`` (>= 0), in
-        increasing order; rows of weight 0 are never drawn. [K]"""
-        return draw_weighted(weight, count, self.generator)
+        increasing order; rows of weight 0 are never drawn, so there may be fewer. [K]
+
+        The ``count`` smallest of E_i / w_i with E_i exponentially distributed have this distribution (Efraimidis and
+        Spirakis 2006).
+        """
+        uniform = torch.rand(len(weight), generator=self.generator, device=self.generator.device).to(weight.device)
+        key = -torch.log1p(-uniform) / weight
+        key = torch.where(weight > 0, key, torch.inf)
+        count = min(max(count, 0), int((weight > 0).sum()))
+        return key.argsort(stable=True)[:count].sort().values
 
     def quat_from_normals(self, normal: Float[Tensor, "M 3"]) -> Float[Tensor, "M 4"]:
         """Unit quaternions, wxyz, that turn the z axis to the normals by the smaller angle; a disc is then thin along
         z. A normal need not have unit length; a zero one gives the identity. [M, 4]"""
-        return quat_from_normals(normal)
-
-
-def quat_from_normals(normal: Float[Tensor, "M 3"]) -> Float[Tensor, "M 4"]:
-    """The rotation from the z axis to each normal; the identity where the normal is zero."""
-    length = normal.norm(dim=1, keepdim=True)
-    z = torch.zeros_like(normal)
-    z[:, 2] = 1.0
-    return quaternion.shortest_arc(z, torch.where(length > 0, normal / length, z))
+        length = normal.norm(dim=1, keepdim=True)
+        z = torch.zeros_like(normal)
+        z[:, 2] = 1.0
+        return quaternion.shortest_arc(z, torch.where(length > 0, normal / length, z))

@@ -9,10 +9,15 @@ from torch import Tensor
 
 from ..backends import op, piece
 from ..checks import check_number
-from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
 from ..geometry import backproject, se3
-from ..operands import check_operand
+from ..geometry.operands import check_operand
 from ..types import Camera
+
+LUMA_WEIGHTS = (0.2989, 0.5870, 0.1140)
+"""Weights of R, G, B in the quadtree's contrast (ITU-R BT.601 as the released code rounds them)."""
+
+QUADTREE_NORMALISER = 9e7
+"""The released code multiplies a cell's variance by (image pixels) / 9e7 before the threshold test."""
 
 Cell = tuple[int, int, int, int]
 """First column, first row, width, height, pixels."""

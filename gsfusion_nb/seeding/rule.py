@@ -20,8 +20,7 @@ from typing import Any, ClassVar, Literal, TypeGuard, TypeVar
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ..checks import check_name, check_whole
-from ..errors import shown
+from ..checks import check_name, check_whole, shown
 from ..gaussians import Edit
 from ..types import Camera, Seeds
 from .context import SeedContext

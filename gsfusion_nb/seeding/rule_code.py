@@ -1,4 +1,4 @@
-"""Source code of a seeding rule: rules from files, hashes of their code and values, and the files that they open."""
+"""Source code of a seeding rule: rules from files, and hashes of their code, its values, and the files they read."""
 
 import ast
 import contextlib
@@ -24,9 +24,8 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from ..errors import shown
-from ..files import UNREADABLE, cache_folder, file_hashes
-from ..foreign import read_text
+from ..checks import shown
+from ..files import UNREADABLE, cache_folder, file_hashes, read_text
 from .rule import SeedingRule, get_rule, keep_registered, option_paths, registered, rule_name
 
 _OWN = __name__.partition(".")[0]
@@ -62,24 +61,21 @@ def _source_of_cell(cls: type) -> str:
     return ""
 
 
-def rule_fingerprint(rule: SeedingRule) -> str:
-    """A hash of the rule's code, defaults, closure, attributes, and the values and functions that its code names.
+def rule_fingerprint(rule: Any) -> str:
+    """A hash of the code of a rule, or of another function, and of the values and functions that the code names.
 
-    It changes when the rule is edited, and when the rule stores something from one call to the next; of a class it
-    covers the base classes, too. Helper modules that are not installed packages are followed in the same way, as they
-    are loaded here. Of a network (``torch.nn.Module``) the values are hashed, and of a ``Path`` the files. What a
-    function with ``functools.cache`` has kept is not hashed. For a callable object with ``state_dict`` only the class
-    is hashed, because its state is saved with the map. Of what installed packages define only the names are hashed.
+    It changes when the rule is edited, and when the rule stores something from one call to the next: defaults,
+    closure and attributes are hashed, too, and of a class the base classes. Helper modules that are not installed
+    packages are followed in the same way, as they are loaded here; of installed packages only names are hashed.
     """
     return read_code(rule).hash.hexdigest()
 
 
-def read_code(code: Any) -> "CodeReader":
-    """A hash of a rule or of another function, with the files and caches that its code names."""
-    reader = CodeReader()
-    is_object = not isinstance(code, type) and not inspect.isroutine(code)
-    reader.value(type(code) if is_object and hasattr(code, "state_dict") else code)
-    return reader
+def read_code(rule: Any) -> "Code":
+    """What ``rule_fingerprint`` reads of a rule."""
+    code = Code()
+    code.add(rule)
+    return code
 
 
 def rule_files(rule: SeedingRule, options: Mapping[str, Any]) -> dict[str, str]:
@@ -142,115 +138,92 @@ def _is_foreign(module: str) -> bool:
     return file is not None and is_installed(file)
 
 
-class CodeReader:
+class Code:
     """Puts values into a hash, each with its type, each object once."""
 
     def __init__(self):
         self.hash = hashlib.blake2b(digest_size=16)
-        self.paths: list[Path] = []
-        """Files and folders that the code names by a ``Path``; their content is in the hash."""
         self.caches: list[Any] = []
-        """Functions with ``functools.cache`` or ``lru_cache``."""
+        """Functions with ``functools.cache`` or ``lru_cache``, such as one that reads a network."""
         self._seen: dict[int, Any] = {}
 
-    def value(self, x: Any) -> None:
+    def add(self, x: Any) -> None:
         """Any value; of an unknown kind of value only its type."""
         self._text(type(x).__qualname__)
-        if isinstance(x, _PLAIN):
+        if isinstance(x, (*_PLAIN, Path)):
             self._text(repr(x))
             return
         if id(x) in self._seen:
             return
         self._seen[id(x)] = x  # kept, so that its id is not given to another
-        if isinstance(x, (torch.Tensor, np.ndarray)):
-            self._array(x)
-        elif isinstance(x, Path):
-            self._path(x)
+        if hasattr(x, "cache_clear"):
+            self.caches.append(x)
+        if isinstance(x, types.MethodType):
+            self.add(x.__self__)
+        x = getattr(x, "__func__", getattr(x, "__wrapped__", x))  # methods, decorated and cached functions
+        if isinstance(x, torch.Tensor | np.ndarray):
+            self._text(f"{x.dtype} {tuple(x.shape)}")
+            bits = (
+                x.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy() if isinstance(x, torch.Tensor) else x
+            )
+            self.hash.update(np.ascontiguousarray(bits).tobytes())
         elif isinstance(x, Mapping):
             for key in sorted(x, key=repr):
-                self.value(key)
-                self.value(x[key])
-        elif isinstance(x, (list, tuple)):
+                self.add(key)
+                self.add(x[key])
+        elif isinstance(x, list | tuple):
             for item in x:
-                self.value(item)
-        elif isinstance(x, (set, frozenset)):
+                self.add(item)
+        elif isinstance(x, set | frozenset):
             self._text(repr(sorted(map(repr, x))))
-        elif isinstance(x, torch.Generator):
-            self._array(x.get_state())
-        elif isinstance(x, np.random.Generator):
-            self.value(x.bit_generator.state)
-        else:
-            self._object(x)
-
-    def _object(self, x: Any) -> None:
-        if isinstance(x, functools.partial):
-            self.value((x.func, x.args, x.keywords))
-        elif isinstance(x, types.MethodType):
-            self.value((x.__self__, x.__func__))
         elif isinstance(x, types.FunctionType):
-            self._function(inspect.unwrap(x))
-        elif hasattr(x, "cache_clear") and isinstance(getattr(x, "__wrapped__", None), types.FunctionType):
-            self.caches.append(x)
-            self.value(x.__wrapped__)
+            self._function(x)
         elif isinstance(x, type):
             self._text(f"{x.__module__}.{x.__qualname__}")
             if not _is_foreign(x.__module__):
-                for base in x.__bases__:
-                    self.value(base)
+                self.add(x.__bases__)
                 for name, member in sorted(vars(x).items()):
                     if not name.startswith("__") or name in ("__call__", "__init__", "__post_init__"):
-                        self.value(member)
-        elif isinstance(x, staticmethod | classmethod):
-            self.value(x.__func__)
+                        self.add(member)
         elif isinstance(x, property):
-            self.value((x.fget, x.fset))
+            self.add((x.fget, x.fset))
+        elif isinstance(x, functools.partial):
+            self.add((x.func, x.args, x.keywords))
         elif isinstance(x, torch.nn.Module):
-            self.value(([type(part) for part in x.modules()], x.training, str(x), dict(x.state_dict())))
-        elif dataclasses.is_dataclass(x) and type(x).__module__.startswith(f"{_OWN}."):  # such as when a rule is due
-            self.value([getattr(x, field.name) for field in dataclasses.fields(x)])
-        elif not _is_foreign(type(x).__module__) and hasattr(x, "__dict__"):
-            self.value(type(x))
-            self.value(vars(x))
+            self.add(([type(part) for part in x.modules()], str(x), dict(x.state_dict())))
+        elif dataclasses.is_dataclass(x) or (not _is_foreign(type(x).__module__) and hasattr(x, "__dict__")):
+            self.add(type(x))
+            self.add(vars(x))
 
     def _function(self, f: types.FunctionType) -> None:
         self._text(f"{f.__module__}.{f.__qualname__}")
         if _is_foreign(f.__module__ or ""):
             return
         self._code(f.__code__)
-        self.value((f.__defaults__, f.__kwdefaults__))
+        self.add((f.__defaults__, f.__kwdefaults__, vars(f)))
         for cell in f.__closure__ or ():
-            try:
-                self.value(cell.cell_contents)
-            except ValueError:  # not assigned yet
-                self._text("empty cell")
-        self.value({k: v for k, v in vars(f).items() if k != "__wrapped__"})
+            with contextlib.suppress(ValueError):  # not assigned yet
+                self.add(cell.cell_contents)
         parts = list(_parts(f.__code__))
         attributes = {name for part in parts for name in part.co_names}
-        for name in sorted(_names(parts, "LOAD_GLOBAL", "STORE_GLOBAL", "LOAD_NAME")):
-            found = f.__globals__.get(name)
+        for name in sorted(attributes):
             self._text(name)
-            if isinstance(found, types.ModuleType):
-                self._module(found, attributes)
-            else:
-                self.value(found)
-        for name in sorted(_names(parts, "IMPORT_NAME")):
+            self._global(f.__globals__.get(name), attributes)
+        inside = {i.argval for part in parts for i in dis.get_instructions(part) if i.opname == "IMPORT_NAME"}
+        for name in sorted(inside):
             if not _is_foreign(name):
                 with contextlib.suppress(ImportError):  # the rule will notice
-                    self._module(importlib.import_module(name), attributes)
+                    self._global(importlib.import_module(name), attributes)
 
-    def _module(self, module: types.ModuleType, names: set[str]) -> None:
-        """What code can reach of a helper module by these names; of an installed one nothing."""
-        if _is_foreign(module.__name__):
-            return
-        self._text(module.__name__)
-        for name in sorted(names & vars(module).keys()):
-            found = getattr(module, name)
-            self._text(name)
-            if not isinstance(found, types.ModuleType):
-                self.value(found)
-            elif id(found) not in self._seen:
-                self._seen[id(found)] = found
-                self._module(found, names)
+    def _global(self, x: Any, attributes: set[str]) -> None:
+        """A value that code names; of a helper module, what the code can reach of it by these names."""
+        if not isinstance(x, types.ModuleType):
+            self.add(x)
+        elif not _is_foreign(x.__name__) and id(x) not in self._seen:
+            self._seen[id(x)] = x
+            for name in sorted(attributes & vars(x).keys()):
+                self._text(name)
+                self._global(getattr(x, name), attributes)
 
     def _code(self, code: types.CodeType) -> None:
         self.hash.update(code.co_code)
@@ -259,17 +232,7 @@ class CodeReader:
             if isinstance(constant, types.CodeType):
                 self._code(constant)
             else:
-                self.value(constant)
-
-    def _path(self, path: Path) -> None:
-        if path != Path():
-            self.paths.append(path)
-            self._text(path_hash(path) if path.exists() else f"no file {path}")
-
-    def _array(self, x: Any) -> None:
-        array = x.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy() if isinstance(x, torch.Tensor) else x
-        self._text(f"{x.dtype} {tuple(x.shape)}")
-        self.hash.update(np.ascontiguousarray(array).tobytes())
+                self.add(constant)
 
     def _text(self, text: str) -> None:
         self.hash.update(text.encode() + b"\0")
@@ -281,11 +244,6 @@ def _parts(code: types.CodeType) -> Iterator[types.CodeType]:
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
             yield from _parts(constant)
-
-
-def _names(parts: list[types.CodeType], *operations: str) -> set[str]:
-    """Names that these operations have in code."""
-    return {i.argval for part in parts for i in dis.get_instructions(part) if i.opname in operations}
 
 
 MOST_BYTES = 1_000_000
@@ -384,86 +342,47 @@ def _load(source: str, name: str, file: str) -> types.ModuleType:
     return module
 
 
-_SYSTEM = tuple(
-    Path(place).resolve() for place in ("/dev", "/proc", "/sys", "/etc", "/usr", sys.prefix, sys.base_prefix)
-)
-_COMPILED = {".nbi", ".nbc"}
-_PYTHON = {".py", ".pyc"}
-
-
-class UndeclaredFileError(ValueError):
-    """A seeding rule opened a file that none of its options names."""
-
-    def __init__(self, rule: str, path: Path):
-        super().__init__(
-            f"the seeding rule {rule!r} reads {path}, which none of its options names, so a comparison would keep its "
-            f'old results when the file changes; declare it: weights: Path = Path("{path}")'
-        )
-
-
-class DeclaredFiles:
-    """What a rule may open: files that it declares, Python's and those of installed packages, and compiled code.
-
-    Only files are noticed that Python opens, in the thread of the rule: ``open``, ``torch.load``, ``numpy.load``. Files
-    opened by compiled code (``cv2.imread``, ``torch.jit.load``) are not.
-
-    Args:
-        rule: Name of the rule.
-        paths: Files and folders that it declares.
-    """
-
-    def __init__(self, rule: str, paths: Iterable[Path]):
-        self._rule = rule
-        own: list[Any] = [sys.modules[name] for name in (_OWN, f"{_OWN}.kernels") if name in sys.modules]
-        packages = [Path(place).resolve() for package in own for place in package.__path__]  # may be links
-        self._folders = (*_SYSTEM, *packages, cache_folder(), *(path.expanduser().resolve() for path in paths))
-        loaded = [
-            getattr(module, name, None) for module in list(sys.modules.values()) for name in ("__file__", "__cached__")
-        ]
-        self._modules = {file for file in loaded if isinstance(file, str)}
-        self._refused: UndeclaredFileError | None = None
-
-    @contextlib.contextmanager
-    def only(self) -> Iterator[None]:
-        """Context around a call of the rule.
-
-        Raises:
-            UndeclaredFileError: it opens another file, also if it catches that error itself.
-        """
-        _install()
-        before, _now.files, self._refused = getattr(_now, "files", None), self, None
-        try:
-            yield
-        finally:
-            _now.files = before
-        if self._refused is not None:
-            raise self._refused
-
-    def check(self, given: str | bytes | os.PathLike, flags: int) -> None:
-        """Raise ``UndeclaredFileError`` for a file that may not be opened; one that is made anew may be."""
-        writes = flags & (os.O_WRONLY | os.O_TRUNC | os.O_EXCL)
-        path = Path(os.path.abspath(os.fsdecode(given)))
-        known = path.suffix in _COMPILED or (path.suffix in _PYTHON and str(path) in self._modules)
-        if writes or known or is_installed(path):
-            return
-        path = path.resolve()
-        if path.is_file() and not any(path.is_relative_to(folder) for folder in self._folders):
-            self._refused = UndeclaredFileError(self._rule, path)
-            raise self._refused
-
-
+_SYSTEM = ("/dev", "/proc", "/sys", "/etc", "/usr", sys.prefix, sys.base_prefix, str(Path(__file__).parents[1]))
+_CODE = {".py", ".pyc", ".nbi", ".nbc"}
 _now = threading.local()
-_installed = threading.Event()
 
 
-def _install() -> None:
-    if not _installed.is_set():
-        _installed.set()
-        # A lambda, which no tool that checks types wraps: a wrapper raises events itself, and they would never end.
-        sys.addaudithook(lambda event, arguments: _check_open(*arguments) if event == "open" else None)
+@functools.cache
+def _listen() -> None:
+    # A lambda, which no tool that checks types wraps: a wrapper raises events itself, and they would never end.
+    sys.addaudithook(lambda event, arguments: _note(*arguments) if event == "open" else None)
 
 
-def _check_open(file: Any, _mode: Any, flags: int) -> None:
-    files: DeclaredFiles | None = getattr(_now, "files", None)
-    if files is not None and not isinstance(file, int):
-        files.check(file, flags)
+def _note(file: Any, _mode: Any, flags: int) -> None:
+    opened: set[str] | None = getattr(_now, "opened", None)
+    if opened is not None and not isinstance(file, int) and not flags & (os.O_WRONLY | os.O_TRUNC | os.O_EXCL):
+        opened.add(os.path.abspath(os.fsdecode(file)))
+
+
+@contextlib.contextmanager
+def only_declared_files(rule: str, paths: Iterable[Path]) -> Iterator[None]:
+    """Context in which a rule may read only the files and folders ``paths``, Python's and those of packages.
+
+    Only files are noticed that Python opens, in this thread: ``open``, ``torch.load``, ``numpy.load``. Files opened by
+    compiled code (``cv2.imread``, ``torch.jit.load``) are not.
+
+    Raises:
+        ValueError: at the end of the context, if another file was read.
+    """
+    _listen()
+    opened: set[str] = set()
+    _now.opened = opened
+    try:
+        yield
+    finally:
+        _now.opened = None
+    if not opened:
+        return
+    allowed = [place.expanduser().resolve() for place in (*map(Path, _SYSTEM), cache_folder(), *paths)]
+    for path in map(Path, sorted(opened)):
+        known = any(place.is_relative_to(folder) for place in (path, path.resolve()) for folder in allowed)
+        if path.suffix not in _CODE and path.is_file() and not (known or is_installed(path)):
+            raise ValueError(
+                f"the seeding rule {rule!r} reads {path}, which none of its options names, so a comparison would keep "
+                f'its old results when the file changes; declare it: weights: Path = Path("{path}")'
+            )

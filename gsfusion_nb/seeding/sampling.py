@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ..constants import SHOWN_ALPHA
 from ..geometry import project, se3
+from ..render.constants import SHOWN_ALPHA
 from ..types import Seeds
 from .context import SeedContext
 from .quadtree import cell_gaussians

@@ -4,7 +4,6 @@ from .back_end import BackEnd as BackEnd
 from .back_end import Correction as Correction
 from .back_end import moved_enough as moved_enough
 from .brightness import BrightnessSystem as BrightnessSystem
-from .brightness import Picture as Picture
 from .brightness import Pictures as Pictures
 from .brightness import brightness_levels as brightness_levels
 from .brightness import brightness_rows as brightness_rows
@@ -12,8 +11,6 @@ from .brightness import brightness_system as brightness_system
 from .brightness import picture_of as picture_of
 from .features import Features as Features
 from .features import extract_features as extract_features
-from .icp import ExtraRows as ExtraRows
-from .icp import IcpIteration as IcpIteration
 from .icp import IcpResult as IcpResult
 from .icp import IcpSystem as IcpSystem
 from .icp import align as align
@@ -38,4 +35,3 @@ from .surface import depth_pyramid as depth_pyramid
 from .surface import tsdf_surface as tsdf_surface
 from .tracker import Tracker as Tracker
 from .tracker import TrackingLostError as TrackingLostError
-from .tracker import TrackingReport as TrackingReport

@@ -4,7 +4,7 @@ Peng et al. 2024, section 3.2: "a back-end optimization thread similar to ORB-SL
 maintained ... used for graph optimization". Here it runs in turn with the front end, keyframe by keyframe, with ORB
 features (OpenCV) and a factor graph (GTSAM).
 
-A ``Correction`` holds the poses of keyframes before and after; everything else moves with them (``blend``).
+A ``Correction`` holds the poses of keyframes before and after; everything else moves with them.
 """
 
 from dataclasses import dataclass, replace
@@ -14,13 +14,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..checks import check_pose, check_saved, check_saved_pose, check_whole
-from ..config import BackEndConfig
-from ..errors import shown
+from ..checks import check_pose
 from ..geometry import quaternion, se3
 from ..types import Camera, Frame
 from .bundle_adjustment import Adjusted, adjust
-from .features import Features, extract_features
+from .features import FEATURES, LEVELS, Features
 from .landmark_map import LandmarkMap
 from .loops import LoopFinder
 from .matching import PointPairs, RelativePose, refine_pose
@@ -54,55 +52,35 @@ class Correction:
     def transform_of(self, frame_index: Int[Tensor, " N"]) -> Float[Tensor, "N 4 4"]:
         """The motion of the world near each frame: T_new T_old^-1, blended between the keyframes before and after.
 
+        Rotations are interpolated along the shorter arc. The point c between the two old camera centres moves to the
+        interpolation of its two images: R(t) = slerp(R_a, R_b, t), R(t) c + t(t) = (1 - t) D_a c + t D_b c.
+
         Args:
-            frame_index: Frames, in any order. [N]
+            frame_index: Frames, in any order; before the first and after the last keyframe its transform is used. [N]
 
         Returns:
             World-to-world transforms, float64. Exactly the identity where the keyframes did not move.
         """
-        return blend(self.frame_index, self.T_WC_old, self.T_WC_new, frame_index)
-
-
-def blend(
-    keyframe: Int[Tensor, " K"],
-    T_old: Float[Tensor, "K 4 4"],
-    T_new: Float[Tensor, "K 4 4"],
-    frame_index: Int[Tensor, " N"],
-    T_old_next: Float[Tensor, "K 4 4"] | None = None,
-) -> Float[Tensor, "N 4 4"]:
-    """T_new T_old^-1 at any frame, from its neighbouring keyframes.
-
-    Rotations are interpolated along the shorter arc. The point c between the two old camera centres moves to the
-    interpolation of its two images: R(t) = slerp(R_a, R_b, t), R(t) c + t(t) = (1 - t) D_a c + t D_b c.
-
-    Args:
-        keyframe: Frame index of the keyframes, increasing.
-        T_old: Their poses before. [K, 4, 4]
-        T_new: Their poses after. [K, 4, 4]
-        frame_index: The frames; before the first and after the last keyframe its transform is used. [N]
-        T_old_next: Poses before, for the frames that precede a keyframe, if they differ from ``T_old``. [K, 4, 4]
-    """
-    if len(keyframe) == 0:
-        return torch.eye(4, dtype=torch.float64).expand(len(frame_index), 4, 4).clone()
-    before = torch.searchsorted(keyframe, frame_index.to(keyframe), right=True) - 1
-    a, b = before.clamp_min(0), (before + 1).clamp_max(len(keyframe) - 1)
-    a = torch.where(before < 0, b.clamp_max(0), a)
-    b = torch.where(before < 0, a, b)
-    gap = (keyframe[b] - keyframe[a]).clamp_min(1)
-    t = ((frame_index.to(keyframe) - keyframe[a]).double() / gap).clamp(0, 1) * (a != b)
-    next_old = T_old if T_old_next is None else T_old_next
-    D_a, D_b = _motion(T_old, T_new)[a], _motion(next_old, T_new)[b]
-    R = quaternion.to_matrix(
-        quaternion.slerp(quaternion.from_matrix(D_a[:, :3, :3]), quaternion.from_matrix(D_b[:, :3, :3]), t)
-    )
-    s = t[:, None]
-    c = (1 - s) * T_old[a, :3, 3] + s * next_old[b, :3, 3]
-    moved = (1 - s) * _apply(D_a, c) + s * _apply(D_b, c)
-    D = torch.eye(4, dtype=torch.float64).expand(len(a), 4, 4).clone()
-    D[:, :3, :3] = R
-    D[:, :3, 3] = moved - (R @ c[:, :, None])[:, :, 0]
-    D = torch.where((t == 0)[:, None, None], D_a, D)
-    return torch.where(((D_a == D_b).flatten(1).all(1))[:, None, None], D_a, D)
+        keyframe = self.frame_index
+        before = torch.searchsorted(keyframe, frame_index.to(keyframe), right=True) - 1
+        a, b = before.clamp_min(0), (before + 1).clamp_max(len(keyframe) - 1)
+        a = torch.where(before < 0, b.clamp_max(0), a)
+        b = torch.where(before < 0, a, b)
+        gap = (keyframe[b] - keyframe[a]).clamp_min(1)
+        t = ((frame_index.to(keyframe) - keyframe[a]).double() / gap).clamp(0, 1) * (a != b)
+        motion = _motion(self.T_WC_old, self.T_WC_new)
+        D_a, D_b = motion[a], motion[b]
+        R = quaternion.to_matrix(
+            quaternion.slerp(quaternion.from_matrix(D_a[:, :3, :3]), quaternion.from_matrix(D_b[:, :3, :3]), t)
+        )
+        s = t[:, None]
+        c = (1 - s) * self.T_WC_old[a, :3, 3] + s * self.T_WC_old[b, :3, 3]
+        moved = (1 - s) * _apply(D_a, c) + s * _apply(D_b, c)
+        D = torch.eye(4, dtype=torch.float64).expand(len(a), 4, 4).clone()
+        D[:, :3, :3] = R
+        D[:, :3, 3] = moved - (R @ c[:, :, None])[:, :, 0]
+        D = torch.where((t == 0)[:, None, None], D_a, D)
+        return torch.where(((D_a == D_b).flatten(1).all(1))[:, None, None], D_a, D)
 
 
 def _motion(T_old: Tensor, T_new: Tensor) -> Tensor:
@@ -133,10 +111,26 @@ LOOP_MAX_SIGMA = 5.0
 """A loop with a larger error after the optimisation, in standard deviations, is false: its matches are not used."""
 
 
-def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"], config: BackEndConfig) -> bool:
+KEYFRAME_DEG, KEYFRAME_M = 15.0, 0.15
+"""The graph gets a new keyframe when the camera has turned, or moved, by more than this since the last one. Larger: a
+smaller graph, faster, but fewer chances to find a loop."""
+
+CORRECT_FROM_M, CORRECT_FROM_DEG = 0.02, 0.5
+"""A loop corrects the trajectory at once if they disagree by more than this; smaller differences are corrected at the
+end of the scan."""
+
+ODOMETRY_SIGMA_DEG, ODOMETRY_SIGMA_M = 0.5, 0.02
+"""Largest standard deviation of the tracked motion between two keyframes, per axis; it is trusted more where it agrees
+with the landmarks (``fit_odometry``)."""
+
+LANDMARKS_PER_KEYFRAME = 150
+"""How many landmarks of each keyframe take part in the optimisation at the end, those seen in most frames first."""
+
+
+def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"]) -> bool:
     """Whether the camera has turned or moved far enough since the pose ``last`` for a new keyframe."""
     turned_deg, moved_m = se3.motion(last, T_WC)
-    return turned_deg > config.keyframe_rotation_deg or moved_m > config.keyframe_translation_m
+    return turned_deg > KEYFRAME_DEG or moved_m > KEYFRAME_M
 
 
 class BackEnd:
@@ -146,23 +140,25 @@ class BackEnd:
     to its own pose before the next frame.
     """
 
-    def __init__(self, config: BackEndConfig, camera: Camera):
+    def __init__(self, camera: Camera, *, features: int = FEATURES, levels: int = LEVELS):
         """
+        Args:
+            camera: Intrinsics of all frames.
+            features, levels: ORB features of a keyframe and levels of their pyramid (``extract_features``).
+
         Raises:
             ImportError: GTSAM is not installed.
         """
         require_gtsam()
-        self.config, self.camera = config, camera
-        self.map = LandmarkMap(camera, count=config.features, levels=config.levels)
+        self.camera = camera
+        self.map = LandmarkMap(camera, count=features, levels=levels)
         """Keyframes and landmarks; the front end uses it, too."""
         self.database, self.landmarks = self.map.database, self.map.landmarks
-        self._finder = LoopFinder(config, self.database, self.landmarks)
+        self._finder = LoopFinder(self.database, self.landmarks)
         self.edges: list[Edge] = []
         self.loops: list[tuple[int, Tensor]] = []
         """(keyframe row, pairs of feature and landmark [I, 2]) of each loop, in the order of the edges of that kind."""
         self._fresh_loops: list[tuple[int, int, int]] = []
-        self._as_added: list[Tensor] = []
-        self._as_tracked: list[Tensor] = []
 
     def __len__(self) -> int:
         return len(self.database)
@@ -174,9 +170,7 @@ class BackEnd:
 
     def wants(self, T_WC: Float[Tensor, "4 4"]) -> bool:
         """Whether the camera has moved or turned enough since the last keyframe to become one."""
-        if not len(self):
-            return True
-        return moved_enough(self.database.T_WC[-1], T_WC, self.config)
+        return not len(self) or moved_enough(self.database.T_WC[-1], T_WC)
 
     def add(self, frame: Frame, T_WC: Float[Tensor, "4 4"], features: Features | None = None) -> Correction | None:
         """Add a keyframe; if it closes a loop that the trajectory does not, optimise the poses.
@@ -195,45 +189,16 @@ class BackEnd:
         self._check(frame, T_WC)
         T_WC = se3.rigid(T_WC.detach().cpu().double())
         if features is None:
-            features = extract_features(frame, count=self.config.features, levels=self.config.levels)
+            features = self.database.extract(frame)
         row = len(self)
         around, seen = self.map.add(frame.index, T_WC, features)
         self._finder.add(frame.depth_m)
-        self._as_added.append(T_WC)
-        self._as_tracked.append(T_WC)
         self._tie(row, around, T_WC if seen is None else seen.T_WC)
-        if not self._close_loops(row):
-            return None
-        correction = self._correct(landmarks=False)
-        self._as_tracked[-1] = self.database.T_WC[-1]
-        return correction
+        return self._correct(landmarks=False) if self._close_loops(row) else None
 
     def finish(self) -> Correction | None:
         """Optimise all poses and landmarks together, once; None with fewer than two keyframes."""
         return self._correct(landmarks=True) if len(self) > 1 else None
-
-    def relocalise(self, view: Frame | Features) -> list[Tensor]:
-        """Possible poses of the camera, without any earlier pose (``KeyframeDatabase.relocalise``)."""
-        return self.database.relocalise(view)
-
-    def correct_trajectory(self, indices: Int[Tensor, " N"], poses: Float[Tensor, "N 4 4"]) -> Float[Tensor, "N 4 4"]:
-        """Poses of all frames, each moved with the keyframes around it.
-
-        Args:
-            indices: Frame indices. [N]
-            poses: Camera-to-world poses as tracked: each in the world as corrected when that frame was tracked (a
-                keyframe's after the correction it caused). [N, 4, 4]
-
-        Returns:
-            The same poses in the world as corrected now, in their dtype; unchanged where no keyframe moved.
-        """
-        if not len(self):
-            return poses.clone()
-        keyframe = torch.tensor(self.database.index)
-        motion = blend(keyframe, torch.stack(self._as_tracked), self.T_WC, indices.cpu(), torch.stack(self._as_added))
-        moved = (motion @ poses.detach().cpu().double()).to(poses)
-        changed = (motion != torch.eye(4, dtype=motion.dtype)).flatten(1).any(1).to(poses.device)
-        return torch.where(changed[:, None, None], moved, poses)
 
     def _check(self, frame: Frame, T_WC: Tensor) -> None:
         check_pose("T_WC", T_WC)
@@ -252,7 +217,7 @@ class BackEnd:
         if not around:
             return
         T = self.database.T_WC
-        information = odometry_information(self.config.odometry_sigma_deg, self.config.odometry_sigma_m)
+        information = odometry_information(ODOMETRY_SIGMA_DEG, ODOMETRY_SIGMA_M)
         step = se3.inverse(T[row - 1]) @ T[row]
         self.edges.append(Edge(i=row - 1, j=row, T_ij=step, information=information, kind="odometry"))
         shared = {r: self.landmarks.shared(row, r) for r in around}
@@ -277,7 +242,7 @@ class BackEnd:
             self._fresh_loops.append((self.database.index[row], self.database.index[earlier], len(pose.rows)))
             missed = se3.inverse(pose.T_RQ) @ se3.inverse(self.database.T_WC[earlier]) @ self.database.T_WC[row]
             degrees = float(torch.rad2deg(se3.rotation_angle(missed[:3, :3])))
-            off |= float(missed[:3, 3].norm()) > self.config.correct_from_m or degrees > self.config.correct_from_deg
+            off |= float(missed[:3, 3].norm()) > CORRECT_FROM_M or degrees > CORRECT_FROM_DEG
         return off
 
     def _correct(self, *, landmarks: bool) -> Correction:
@@ -307,7 +272,7 @@ class BackEnd:
 
     def _with_landmarks(self) -> Adjusted:
         """Adjust all poses but the first, and the landmarks, which keep what was found."""
-        seen = self.landmarks.observations(per_keyframe=self.config.landmarks_per_keyframe)
+        seen = self.landmarks.observations(per_keyframe=LANDMARKS_PER_KEYFRAME)
         steps = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
         odometry = [replace(e, information=e.information / LANDMARK_SHARE) for e in steps]
         found = adjust(self.camera, self.T_WC, seen, odometry, torch.arange(len(self)) == 0, iterations=20)
@@ -323,60 +288,15 @@ class BackEnd:
             "loops": list(self.loops),
             "fresh_loops": list(self._fresh_loops),
             "thumbnails": list(self._finder.thumbnails),
-            "as_added": list(self._as_added),
-            "as_tracked": list(self._as_tracked),
         }
 
     @classmethod
-    def from_state_dict(cls, config: BackEndConfig, camera: Camera, state: dict[str, Any]) -> "BackEnd":
-        """The back end that was saved with ``state_dict``.
-
-        Raises:
-            ValueError: Edges or loops between keyframes that do not exist, or poses that are not rigid transforms.
-        """
-        self = cls(config, camera)
+    def from_state_dict(cls, camera: Camera, state: dict[str, Any]) -> "BackEnd":
+        """The back end that was saved with ``state_dict``."""
+        self = cls(camera)
         self.map.load_state(state["map"])
-        check_saved_back_end(state, [len(f) for f in self.database.features], len(self.landmarks))
         self.edges = [Edge(**e) for e in state["edges"]]
         self.loops = [(row, pairs) for row, pairs in state["loops"]]
         self._fresh_loops = [(a, b, n) for a, b, n in state["fresh_loops"]]
         self._finder.thumbnails = list(state["thumbnails"])
-        self._as_added, self._as_tracked = list(state["as_added"]), list(state["as_tracked"])
         return self
-
-
-def check_saved_back_end(state: dict[str, Any], n_features: list[int], n_landmarks: int) -> None:
-    """Raise ``ValueError`` for edges or loops between keyframes that do not exist, or poses that are not rigid.
-
-    Args:
-        state: From ``BackEnd.state_dict``.
-        n_features: Number of features of each keyframe.
-        n_landmarks: Number of known landmarks.
-    """
-    n = len(n_features)
-    for edge in state["edges"]:
-        _check_edge(edge, n)
-    for row, pairs in state["loops"]:
-        check_whole("keyframe of a loop", row, 0, n - 1)
-        check_saved("landmarks of a loop", pairs, ("I", 2), torch.int64)
-        limits = torch.tensor([n_features[row], n_landmarks])
-        if len(pairs) and bool(((pairs < 0) | (pairs >= limits)).any()):
-            raise ValueError("a loop must name features and landmarks that exist")
-    if len(state["loops"]) != sum(edge["kind"] == "loop" for edge in state["edges"]):
-        raise ValueError("there must be one edge for each loop")
-    for name in ("thumbnails", "as_added", "as_tracked"):
-        if len(state[name]) != n:
-            raise ValueError(f"{name} must be one for each of the {n} keyframes, got {len(state[name])}")
-    for T_WC in (*state["as_added"], *state["as_tracked"]):
-        check_saved_pose("pose of a keyframe", T_WC)
-    for thumbnail in state["thumbnails"]:
-        check_saved("depth of a keyframe", thumbnail, ("h", "w"))
-
-
-def _check_edge(edge: dict[str, Any], n: int) -> None:
-    for end in ("i", "j"):
-        check_whole("keyframe of an edge", edge[end], 0, n - 1)
-    check_saved_pose("T_ij of an edge", edge["T_ij"])
-    check_saved("information of an edge", edge["information"], (6, 6), torch.float64)
-    if edge["kind"] not in ("odometry", "landmarks", "loop"):
-        raise ValueError(f"the kind of an edge must be odometry, landmarks or loop, got {shown(edge['kind'])}")

@@ -11,7 +11,7 @@ from torch.nn.functional import avg_pool2d, pad
 from ..backends import op, piece
 from ..checks import check_number, check_positive
 from ..geometry import depth_to_points, project, se3
-from ..operands import check_operand, check_view
+from ..geometry.operands import check_operand, check_view
 from ..types import Camera
 from .surface import DepthLevel, Surface, about_the_surface, reduced_camera
 

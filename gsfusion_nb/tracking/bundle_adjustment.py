@@ -32,7 +32,7 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_array
 from ..geometry import se3
-from ..operands import check_camera, check_operand
+from ..geometry.operands import check_camera, check_operand
 from ..types import Camera
 from .features import DEPTH_SIGMA_PER_M
 from .landmarks import Observations
@@ -214,7 +214,7 @@ def point_errors(
 FIRST_DAMPING = 1e-4
 """Added to the diagonal of the normal equations, as a share of it; it falls with each step that helps."""
 
-CONVERGED = 1e-4
+ADJUST_LEAST_FALL = 1e-4
 """The steps end when the error falls by less than this share of it."""
 
 
@@ -268,7 +268,7 @@ def adjust(
             damping *= 10
             continue
         T_WC, xyz, fell, error = T_new, xyz_new, error - after, after
-        if fell < CONVERGED * error:
+        if fell < ADJUST_LEAST_FALL * error:
             break
         damping /= 10
         system = problem.system(T_WC, xyz)

@@ -11,10 +11,12 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 from torch import Tensor
 
-from ..checks import check_mask, check_saved
 from ..geometry import backproject
-from ..operands import check_operand
+from ..geometry.operands import check_operand
 from ..types import Frame
+
+FEATURES, LEVELS = 1000, 8
+"""Features of a view, and levels of their pyramid. More features: more reliable loops and relocalisation, slower."""
 
 SCALE_FACTOR = 1.2
 """Ratio of neighbouring pyramid levels (Rublee et al. 2011)."""
@@ -68,16 +70,6 @@ def check_features(name: str, features: Any) -> None:
     check_operand(f"uv of {name}", features.uv, ("M", 2), dtypes=(torch.float32,), device=cpu)
     size = (len(features), DESCRIPTOR_BYTES)
     check_operand(f"descriptors of {name}", features.descriptors, size, dtypes=(torch.uint8,), device=cpu)
-
-
-def check_saved_features(name: str, features: dict[str, Tensor]) -> None:
-    """Raise ``ValueError`` unless the columns are those of features and have one length."""
-    check_saved(f"uv of {name}", features["uv"], ("M", 2))
-    n = len(features["uv"])
-    check_saved(f"descriptors of {name}", features["descriptors"], (n, 32), torch.uint8)
-    check_saved(f"xyz_C of {name}", features["xyz_C"], (n, 3))
-    check_mask(f"has_depth of {name}", features["has_depth"], (n,))
-    check_saved(f"sigma_px of {name}", features["sigma_px"], (n,))
 
 
 def extract_features(frame: Frame, *, count: int, levels: int) -> Features:

@@ -23,7 +23,7 @@ from ..backends import op, piece
 from ..checks import check_number, check_positive
 from ..config import TrackingConfig
 from ..geometry import depth_to_points, project, se3, sum_rows
-from ..operands import check_operand, check_view
+from ..geometry.operands import check_operand, check_view
 from ..types import Camera
 from .brightness import Pictures
 from .surface import DepthLevel, Surface, about_the_surface, depth_pyramid
@@ -269,7 +269,10 @@ ExtraRows = Callable[[Tensor], tuple[Tensor, Tensor]]
 [6, 6] and w J^T r [6], float64 on the CPU, for a twist in world axes about the world's origin, ``T_WC <- exp(xi) T_WC``
 (translation first). r in metres; weight 1 is that of a pixel of depth nearer than ``even_to_m``."""
 
-CONVERGED_M = 1e-5
+DAMPING = 1e-6
+"""Damping of the normal equations, as a share of their trace (released code: 1e-4)."""
+
+LEAST_STEP_M = 1e-5
 """ICP ends on the finest level when a step moves the surface by less than this, metres; on coarser levels the limit is
 multiplied by their reduction factor."""
 
@@ -377,7 +380,7 @@ def align(
             fit = {"rms_m": system.rms_m, "n_inliers": system.n_inliers, "n_overlap": system.n_overlap}
             history.append(IcpIteration(factor=level.factor, T_WC=T_WC, step_m=step.length_m, **fit))
             T_WC = se3.translate(next_pose(se3.translate(T_WC, -o), joined, step), o)
-            if step.length_m < CONVERGED_M * level.factor:
+            if step.length_m < LEAST_STEP_M * level.factor:
                 break
     system, joined = rows.at(levels[-1], T_WC, config.max_distance_m)
     last = _step(joined, T_WC, o, points, config)
@@ -431,7 +434,7 @@ def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
 
 def _step(system: IcpSystem, T_WC: Tensor, o: Tensor, points: Extent, config: TrackingConfig) -> Step:
     extent = Extent(centre=se3.apply(T_WC, points.centre) - o, spread_m=points.spread_m)
-    return solve_step(system, extent, damping=config.damping, min_eigenvalue=config.min_eigenvalue)
+    return solve_step(system, extent, damping=DAMPING, min_eigenvalue=config.min_eigenvalue)
 
 
 @piece

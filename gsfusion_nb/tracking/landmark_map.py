@@ -10,10 +10,9 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from torch import Tensor
 
-from ..checks import check_saved, check_whole
 from ..types import Camera
 from .bundle_adjustment import LandmarkRows, adjust, inverse_or_zero, landmark_pose, landmark_sums
-from .features import Features
+from .features import FEATURES, LEVELS, Features
 from .icp import ExtraRows
 from .keyframe_database import KeyframeDatabase
 from .landmarks import SEARCH_SHARE, Landmarks
@@ -39,6 +38,10 @@ LEAST_SHARE = 0.4
 """At least this share of the matches must agree."""
 
 
+SIGMA_M = 0.02
+"""A landmark that is off by one standard deviation counts in ICP as much as a pixel of near depth that is off by this,
+metres, where depth contradicts the landmarks beyond their noise. Larger: texture counts more, depth less."""
+
 ALLOWED = 6.0
 """The mean of a chi-squared distribution with 6 degrees of freedom. With its 95 % quantile, 12.6, the error on 50
 frames of a real recording was 0.75 cm instead of 0.63; in a room with simulated noise it was that of depth alone."""
@@ -61,22 +64,19 @@ class Sighting:
     expected: Int[ndarray, " E"]
     """Landmarks that lie in the view at that pose."""
 
-    def extra(self, sigma_m: float) -> ExtraRows:
+    @property
+    def extra(self) -> ExtraRows:
         """The rows for ICP, which count only as far as its pose contradicts them.
 
         At the true pose the sum of squared errors is larger than at the landmarks' own pose, its minimum, by d, which
         has a chi-squared distribution with 6 degrees of freedom. The factor 1 - 6 / d is 0 up to its mean: depth with
         little noise is more exact than landmarks, and then decides alone. (The discrepancy principle, Morozov 1966.)
-
-        Args:
-            sigma_m: With the factor 1, one standard deviation counts as much as a pixel of near depth that is off by
-                this.
         """
         least = landmark_sums(self.rows, self.T_WC).cost
 
         def sums(T_WC: Tensor) -> tuple[Tensor, Tensor]:
             there = landmark_sums(self.rows, T_WC)
-            share = sigma_m**2 * (1 - ALLOWED / max(there.cost - least, ALLOWED))
+            share = SIGMA_M**2 * (1 - ALLOWED / max(there.cost - least, ALLOWED))
             return share * there.H, share * there.b
 
         return sums
@@ -106,7 +106,7 @@ class LandmarkMap:
         count, levels: Features of a view: see ``extract_features``.
     """
 
-    def __init__(self, camera: Camera, *, count: int = 1000, levels: int = 8):
+    def __init__(self, camera: Camera, *, count: int = FEATURES, levels: int = LEVELS):
         self.camera = camera
         self.database = KeyframeDatabase(camera, count=count, levels=levels)
         self.landmarks = Landmarks(self.database)
@@ -135,8 +135,8 @@ class LandmarkMap:
         are."""
         seen = self.landmarks.observations(per_keyframe=MOST_REFINED, keyframes=keyframes)
         if len(seen):
-            held = torch.ones(len(self), dtype=torch.bool)
-            found = adjust(self.camera, torch.stack(self.database.T_WC), seen, [], held, iterations=REFINING_STEPS)
+            fixed = torch.ones(len(self), dtype=torch.bool)
+            found = adjust(self.camera, torch.stack(self.database.T_WC), seen, [], fixed, iterations=REFINING_STEPS)
             self.landmarks.refine(seen.name, found.xyz_W)
 
     def collect(self) -> None:
@@ -238,17 +238,10 @@ class LandmarkMap:
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Replace keyframes and landmarks by those of ``state_dict``.
-
-        Raises:
-            ValueError: Columns that do not fit together, or a pose that is not a rigid transform.
-        """
+        """Replace keyframes and landmarks by those of ``state_dict``."""
         self.database.load_state(state["database"])
         self.landmarks.load_state(state["landmarks"])
         self._local = None
         if state["local"] is not None:
-            for row in state["local"]["keyframes"]:
-                check_whole("keyframe of the local map", row, 0, len(self) - 1)
-            check_saved("landmarks of the local map", state["local"]["landmark"], ("N",), torch.int64)
             local = self._seen_from(state["local"]["keyframes"])
             self._local = local.part(np.isin(local.landmark, state["local"]["landmark"].cpu().numpy()))

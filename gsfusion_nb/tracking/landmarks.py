@@ -9,7 +9,6 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from torch import Tensor
 
-from ..checks import check_saved
 from ..geometry import se3
 from .features import Features
 from .keyframe_database import KeyframeDatabase
@@ -211,12 +210,7 @@ class Landmarks:
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Replace the tracks by those of ``state_dict``; ``database`` must hold their keyframes.
-
-        Raises:
-            ValueError: A feature names a landmark that does not exist, or a landmark names such a feature.
-        """
-        check_saved_landmarks(state, [len(features) for features in self.database.features])
+        """Replace the tracks by those of ``state_dict``; ``database`` must hold their keyframes."""
         self.of_feature = [f.cpu().numpy() for f in state["of_feature"]]
         self._birth = state["birth"].cpu().numpy()
         self._xyz_B = state["xyz_B"].cpu().numpy().copy()
@@ -243,24 +237,3 @@ class Landmarks:
         joined = joined[(joined >= 0).all(1)]
         links = coo_matrix((np.ones(len(joined)), joined.T), shape=(len(self), len(self)))
         return connected_components(links, directed=False)[1].astype(np.int64)
-
-
-def check_saved_landmarks(state: dict[str, Any], n_features: list[int]) -> None:
-    """Raise ``ValueError`` if a feature names a landmark that does not exist, or a landmark such a feature.
-
-    Args:
-        state: From ``Landmarks.state_dict``.
-        n_features: Number of features of each keyframe.
-    """
-    birth = state["birth"]
-    check_saved("birth of the landmarks", birth, ("L", 2), torch.int32)
-    check_saved("xyz_B of the landmarks", state["xyz_B"], (len(birth), 3), torch.float64)
-    check_saved("views of the landmarks", state["views"], (len(birth), 2), torch.int32)
-    for n, landmarks in zip(n_features, state["of_feature"], strict=True):
-        check_saved("landmarks of a keyframe", landmarks, (n,), torch.int32)
-        if n and not -1 <= int(landmarks.min()) <= int(landmarks.max()) < len(birth):
-            raise ValueError(f"landmarks of a keyframe must be from -1 to {len(birth) - 1}")
-    row, feature = birth.long().unbind(1)
-    known = (row >= 0) & (row < len(n_features))
-    if not bool(known.all()) or bool(((feature < 0) | (feature >= torch.tensor(n_features or [0])[row])).any()):
-        raise ValueError("the first observation of a landmark must be a feature of a keyframe")

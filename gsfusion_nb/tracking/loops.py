@@ -2,13 +2,11 @@
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..config import BackEndConfig
 from ..geometry import backproject, project, se3
 from ..types import Camera
 from .features import Features
@@ -38,25 +36,28 @@ MIN_DEPTH_PIXELS = 20
 
 DRIFT_M = 0.3
 DRIFT_DEG = 10.0
-"""A loop may disagree with the trajectory by this much, plus a share of the path in between."""
+DRIFT_SHARE = 0.2
+"""A loop may disagree with the trajectory by this much, plus this share of the path in between: otherwise it is another
+place that looks the same."""
+
+MIN_GAP = 8
+"""A loop connects keyframes that are at least this many keyframes apart."""
+
+MIN_INLIERS = 30
+"""Smallest number of landmarks that must agree on the relative pose of a loop."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Path:
-    """How far the camera moved and turned between two keyframes."""
-
-    length_m: float
-    turned_deg: float
-
-    def allows(self, drift: Float[Tensor, "4 4"], share: float) -> bool:
-        """Whether the drift is plausible: at most 0.3 m and 10 degrees plus ``share`` of the path."""
-        metres = float(drift[:3, 3].norm())
-        degrees = float(torch.rad2deg(se3.rotation_angle(drift[:3, :3])))
-        return metres <= DRIFT_M + share * self.length_m and degrees <= DRIFT_DEG + share * self.turned_deg
+def may_drift(drift: Float[Tensor, "4 4"], T_WC: Float[Tensor, "K 4 4"]) -> bool:
+    """Whether a drift is plausible along these poses: at most 0.3 m and 10 degrees plus a fifth of the path."""
+    steps = se3.inverse(T_WC[:-1]) @ T_WC[1:]
+    most_m = DRIFT_M + DRIFT_SHARE * float(steps[:, :3, 3].norm(dim=1).sum())
+    most_deg = DRIFT_DEG + DRIFT_SHARE * float(torch.rad2deg(se3.rotation_angle(steps[:, :3, :3]).sum()))
+    degrees = float(torch.rad2deg(se3.rotation_angle(drift[:3, :3])))
+    return float(drift[:3, 3].norm()) <= most_m and degrees <= most_deg
 
 
 def why_not_same_place(
-    pose: RelativePose, features: Features, thumbnails: tuple[Tensor, Tensor], camera: Camera, min_inliers: int
+    pose: RelativePose, features: Features, thumbnails: tuple[Tensor, Tensor], camera: Camera
 ) -> str:
     """The reason why two views cannot show the same place; empty if there is none.
 
@@ -65,10 +66,9 @@ def why_not_same_place(
         features: Features of the query.
         thumbnails: Small depth images of query and reference, from ``depth_thumbnail``.
         camera: Intrinsics of the full images.
-        min_inliers: Smallest number of matches that must agree.
     """
     agreeing = len(pose.rows)
-    if agreeing < max(min_inliers, MIN_SHARE * pose.n_matches):
+    if agreeing < max(MIN_INLIERS, MIN_SHARE * pose.n_matches):
         return f"{agreeing} of {pose.n_matches} matches agree"
     size = torch.tensor([camera.width, camera.height])
     cells = (features.uv[pose.rows[:, 0]] / size * 4).long()
@@ -119,13 +119,6 @@ def depth_agreement(
     return agree / max(counted, 1), counted
 
 
-def path_between(T_WC: Float[Tensor, "K 4 4"]) -> Path:
-    """Length of the path through these poses."""
-    steps = se3.inverse(T_WC[:-1]) @ T_WC[1:]
-    turned = float(torch.rad2deg(se3.rotation_angle(steps[:, :3, :3]).sum()))
-    return Path(length_m=float(steps[:, :3, 3].norm(dim=1).sum()), turned_deg=turned)
-
-
 CANDIDATES = 3
 """Loops are searched in this many of the most similar keyframes and in the one whose pose is nearest."""
 
@@ -136,8 +129,8 @@ AROUND = 2
 class LoopFinder:
     """Finds loops from the keyframes of ``database``, by appearance, landmarks and depth."""
 
-    def __init__(self, config: BackEndConfig, database: KeyframeDatabase, landmarks: Landmarks):
-        self.config, self.database, self.landmarks = config, database, landmarks
+    def __init__(self, database: KeyframeDatabase, landmarks: Landmarks):
+        self.database, self.landmarks = database, landmarks
         self.thumbnails: list[Tensor] = []
         """Small depth images of the keyframes, in the order of the database."""
 
@@ -153,7 +146,7 @@ class LoopFinder:
                 yield earlier, pose
 
     def _candidates(self, row: int) -> list[int]:
-        before = row - self.config.loop_min_gap
+        before = row - MIN_GAP
         if before < 0:
             return []
         rows = [r for r, _ in self.database.similar(self.database.features[row], CANDIDATES, exclude_after=before + 1)]
@@ -164,21 +157,20 @@ class LoopFinder:
         """Pose of one keyframe relative to another: from their features, then from all landmarks around the other."""
         features, camera = self.database.features[row], self.database.camera
         pose = self.database.compare(features, earlier)
-        if pose is None or len(pose.rows) < self.config.loop_min_inliers:
+        if pose is None or len(pose.rows) < MIN_INLIERS:
             return None
         T_WR = self.database.T_WC[earlier]
-        around = list(range(max(0, earlier - AROUND), min(earlier + AROUND, row - self.config.loop_min_gap) + 1))
+        around = list(range(max(0, earlier - AROUND), min(earlier + AROUND, row - MIN_GAP) + 1))
         pairs = self.landmarks.find(features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * camera.width)
         return refine_pose(camera, self.landmarks.points(features, pairs, T_WR), pose.T_RQ, pairs)
 
     def _is_true(self, row: int, earlier: int, pose: RelativePose) -> bool:
         thumbnails = (self.thumbnails[row], self.thumbnails[earlier])
         features, camera = self.database.features[row], self.database.camera
-        reason = why_not_same_place(pose, features, thumbnails, camera, self.config.loop_min_inliers)
+        reason = why_not_same_place(pose, features, thumbnails, camera)
         poses = self.database.T_WC
         drift = se3.inverse(pose.T_RQ) @ se3.inverse(poses[earlier]) @ poses[row]
-        path = path_between(torch.stack(poses[earlier : row + 1]))
-        if not reason and not path.allows(drift, self.config.loop_max_drift):
+        if not reason and not may_drift(drift, torch.stack(poses[earlier : row + 1])):
             reason = f"the trajectory cannot have drifted by {float(drift[:3, 3].norm()):.2f} m"
         if reason:
             log.debug("no loop from keyframe %d to %d: %s", row, earlier, reason)

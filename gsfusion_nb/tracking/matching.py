@@ -12,7 +12,7 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_array, check_positive
 from ..geometry import se3
-from ..operands import check_operand, check_view
+from ..geometry.operands import check_operand, check_view
 from ..types import Camera
 from .features import DESCRIPTOR_BYTES, Features, check_features, depth_sigma
 
@@ -41,7 +41,7 @@ CAUCHY = 2.4
 """Larger errors, in standard deviations, get less weight (95 % efficiency for Gaussian errors)."""
 
 ROUNDS = 10
-CONVERGED = 1e-7
+LEAST_STEP = 1e-7
 """``fit_pairs`` takes at most this many Gauss-Newton steps, and ends after one smaller than this, metres and
 radians."""
 
@@ -216,7 +216,7 @@ def fit_pairs(
         H = torch.einsum("pe,pei,pej->ij", weight, J, J) + DAMPING * eye
         step = torch.linalg.solve(H, -torch.einsum("pe,pei,pe->i", weight, J, error))
         T = T @ se3.exp(torch.cat([step[3:], step[:3]]))
-        if float(step.abs().max()) < CONVERGED:
+        if float(step.abs().max()) < LEAST_STEP:
             break
     return T, H
 

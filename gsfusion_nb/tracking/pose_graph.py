@@ -216,7 +216,7 @@ def _log(T: Float[Tensor, "4 4"]) -> Float[Tensor, " 6"]:
     return torch.from_numpy(np.array(require_gtsam().Pose3.Logmap(require_gtsam().Pose3(T.double().numpy()))))
 
 
-CONVERGED = 1e-5
+GRAPH_LEAST_FALL = 1e-5
 """The steps end when the error falls by less than this share of it."""
 
 HALVINGS = 8
@@ -359,6 +359,6 @@ def _descend(graph: EdgeTerms, T_WC: Tensor, iterations: int, *, robust: bool) -
         if after > error:
             break
         T_WC, (e, J_i, J_j), fell, error = proposed, there, error - after, after
-        if fell <= CONVERGED * error:
+        if fell <= GRAPH_LEAST_FALL * error:
             break
     return T_WC, error

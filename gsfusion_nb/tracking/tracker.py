@@ -10,11 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..backends import piece
-from ..checks import check_number, check_pose, check_saved, check_saved_pose, check_whole
+from ..checks import check_pose
 from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
-from .attempt import Attempt, Clocks, Sight, Start, UsualFit, attempt, best_of, why_no_fit, why_not_alike, why_too_far
+from .attempt import Attempt, Sight, Start, UsualFit, attempt, best_of, why_no_fit, why_not_alike, why_too_far
 from .icp import ExtraRows, IcpResult
 from .surface import Surface, SurfaceSource, hybrid_surface
 
@@ -33,50 +33,8 @@ class TrackingReport:
     """Where the successful ICP started: "the predicted pose", "the last pose", ..."""
     doubt: str = ""
     """Why other starts were tried although the first led to a pose within the limits."""
-    n_inliers: int = 0
-    inlier_share: float = 0.0
-    """Correspondences as a share of the pixels with usable depth."""
-    overlap_inlier_share: float = 0.0
-    """Correspondences as a share of the pixels that fall on a known part of the model."""
-    rms_m: float = 0.0
-    """Weighted root mean square point-to-plane distance, metres."""
-    eigenvalues: tuple[float, ...] = ()
-    """Mean information of the six principal directions of motion, smallest first."""
-    degenerate: int = 0
-    """Number of these directions that the scene does not determine."""
-    iterations: int = 0
-    seconds: dict[str, float]
-    """Wall-clock time of "preprocess", "render" and "icp"."""
     icp: IcpResult | None = None
-    """Every step of the successful ICP; None for the first frame."""
-
-    @classmethod
-    def of(
-        cls,
-        result: IcpResult,
-        frame: Frame,
-        start: str,
-        *,
-        first_try: bool,
-        seconds: dict[str, float],
-        doubt: str = "",
-    ) -> "TrackingReport":
-        """Report of a frame that ICP aligned from the start named ``start``."""
-        return cls(
-            status="recovered" if not first_try else "degenerate" if result.degenerate else "ok",
-            T_WC=result.T_WC.to(frame.T_WC),
-            start=start,
-            doubt=doubt,
-            n_inliers=result.n_inliers,
-            inlier_share=result.inlier_share,
-            overlap_inlier_share=result.overlap_inlier_share,
-            rms_m=result.rms_m,
-            eigenvalues=result.eigenvalues,
-            degenerate=result.degenerate,
-            iterations=len(result.history),
-            seconds=seconds,
-            icp=result,
-        )
+    """How well the pose fits, and every step of the successful ICP; None for the first frame."""
 
 
 MAX_TIME_RATIO = 4.0
@@ -168,20 +126,18 @@ class Tracker:
             TrackingLostError: no start led to a pose that fits. Only the counts of lost frames change, so the next
                 frame is tried again.
         """
-        clock = Clocks("preprocess", "render", "icp")
-        with clock("preprocess"):
-            sight = Sight.of(frame, self.config, extra)
+        sight = Sight.of(frame, self.config, extra)
         if not sight.has_depth:
             raise self._lost(f"frame {frame.index} cannot be tracked: none of its pixels have usable depth")
         if self._last is None:
             check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
             self._accept(frame, frame.T_WC.double().cpu(), moved=False)
-            return TrackingReport(status="first", T_WC=frame.T_WC, seconds=clock.seconds)
+            return TrackingReport(status="first", T_WC=frame.T_WC)
         failures: list[str] = []
         fits: list[Attempt] = []
         mixed, doubt, first_try = self._target(surface), "", False
         for start in self._starts(frame, relocalise, fits, guess):
-            found = attempt(sight, surface, mixed, start, self.config, clock)
+            found = attempt(sight, surface, mixed, start, self.config)
             problem = self._problem(found, frame, surface, strict=bool(failures or fits) or self.lost_in_a_row > 0)
             if problem:
                 failures.append(f"from {start.name} {problem}")
@@ -194,21 +150,24 @@ class Tracker:
                 break
         if not fits:
             raise self._lost(f"frame {frame.index} cannot be tracked: {'; '.join(failures)}")
-        with clock("icp"):
-            best = best_of(sight, fits, self.config)
+        best = best_of(sight, fits, self.config)
         moved = self.lost_in_a_row == 0 and not best.start.anywhere
         self._usual.add(best.result)
         self._accept(frame, best.result.T_WC, moved=moved)
         first_try = best.start.smooth or (first_try and best is fits[0])
-        return TrackingReport.of(
-            best.result, frame, best.start.name, first_try=first_try, seconds=clock.seconds, doubt=doubt
+        return TrackingReport(
+            status="recovered" if not first_try else "degenerate" if best.result.degenerate else "ok",
+            T_WC=best.result.T_WC.to(frame.T_WC),
+            start=best.start.name,
+            doubt=doubt,
+            icp=best.result,
         )
 
     def _problem(self, found: Attempt, frame: Frame, surface: SurfaceSource, *, strict: bool) -> str:
         """The reason to reject the pose that an attempt found, or "".  ``strict``: an earlier start has failed."""
         assert self._last is not None
         result = found.result
-        problem = why_no_fit(result, self.config, strict=strict)
+        problem = why_no_fit(result, strict=strict)
         if not problem and not found.start.anywhere:
             problem = why_too_far(self._last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row)
         if not problem and strict:
@@ -258,29 +217,12 @@ class Tracker:
 
     @classmethod
     def from_state_dict(cls, config: TrackingConfig, state: dict[str, Any]) -> "Tracker":
-        """The tracker that was saved with ``state_dict``; the settings are stored elsewhere.
-
-        Raises:
-            ValueError: Counts below 0, a pose that is not a rigid transform, or depth that is not finite.
-        """
+        """The tracker that was saved with ``state_dict``; the settings are stored elsewhere."""
         tracker = cls(config)
-        for name in ("n_lost", "lost_in_a_row"):
-            check_whole(name, state[name], 0)
-            setattr(tracker, name, state[name])
-        for name in ("last", "before"):
-            if state[name] is not None:
-                pose = _TrackedPose(**state[name])
-                check_saved_pose(f"the tracker's {name} pose", pose.T_WC)
-                check_number(f"time of the tracker's {name} pose", pose.timestamp_s)
-                setattr(tracker, f"_{name}", pose)
-        if state["own"] is not None:
-            own = _OwnFrame(**state["own"])
-            check_saved_pose("the pose of the tracker's own frame", own.T_WC)
-            check_saved("the depth of the tracker's own frame", own.depth_m, ("H", "W"))
-            if own.rgb is not None:
-                check_saved("the colours of the tracker's own frame", own.rgb, (*own.depth_m.shape, 3))
-            tracker._own = own
-        tracker._usual = UsualFit.of_state(state.get("usual_fit"))
+        tracker.n_lost, tracker.lost_in_a_row = state["n_lost"], state["lost_in_a_row"]
+        tracker._last, tracker._before = (saved and _TrackedPose(**saved) for saved in (state["last"], state["before"]))
+        tracker._own = state["own"] and _OwnFrame(**state["own"])
+        tracker._usual = UsualFit.of_state(state["usual_fit"])
         return tracker
 
     def _starts(

@@ -9,7 +9,7 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_pose
 from ..geometry import pixel_grid, rays, se3
-from ..operands import check_frame_on
+from ..geometry.operands import check_frame_on
 from ..types import Frame
 from .octree import NewBlocks
 from .volume import TsdfVolume, check_volume

@@ -6,8 +6,12 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from ..constants import GROWTH, VOXELS_PER_BLOCK
-from ..work import available_memory
+from ..work import GROWTH, available_memory
+
+BLOCK_VOXELS = 8
+"""Edge of a voxel block, voxels (Supereight2; GSFusion section III-A)."""
+
+VOXELS_PER_BLOCK = BLOCK_VOXELS**3
 
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
 """Distance, weight and colour of every voxel as float32, and three int32 coordinates; ``W_RGB_BYTES`` more where

@@ -14,7 +14,7 @@ from ..backends import op, piece
 from ..checks import check_pose
 from ..config import TsdfConfig
 from ..geometry import project, se3
-from ..operands import check_frame_on, check_operand
+from ..geometry.operands import check_frame_on, check_operand
 from ..types import Camera, Frame
 from .allocate import allocate
 from .octree import NewBlocks

@@ -16,8 +16,8 @@ from torch import Tensor
 
 from ..backends import op, piece
 from ..checks import check_number
-from ..constants import VOXELS_PER_BLOCK
 from ..types import Mesh
+from .block_pool import VOXELS_PER_BLOCK
 from .volume import CORNERS, VOXELS, TsdfVolume, check_volume
 
 EDGES = tuple((axis, corner) for axis in range(3) for corner in range(8) if not corner >> axis & 1)

@@ -132,7 +132,6 @@ class BlockIndex:
         self._count = 0
         self._table: Tensor | None = None
         self._low: Tensor = torch.zeros(3, dtype=torch.int64, device=device)
-        self._strides: Tensor = self._low
         self._lowest: Corner = (0, 0, 0)
         self._size: Corner = (0, 0, 0)
         self._bounds: tuple[Corner, Corner] | None = None
@@ -205,22 +204,13 @@ class BlockIndex:
             codes, order = codes[first], order[first]
         return NewBlocks(coords=coords[order], codes=codes, low=_corner(box[:3]), high=_corner(box[3:]))
 
-    def insert(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
-        """Rows of the blocks at ``coords``; those not yet allocated get the next rows, in Morton order.
-
-        Raises:
-            ValueError: a coordinate does not fit in a Morton code.
-        """
-        self.add(self.missing(coords))
-        return self.find(coords)
-
     def add(self, new: NewBlocks) -> None:
         """Give the next rows to the blocks that ``missing`` returned, in their order.
 
         Breadth-first allocation from the top (GSFusion III-B.1): a descent that creates the missing nodes level by
         level arrives at the new leaves in Morton order. Here the nodes above are implied by the leaf codes, so the
-        whole descent is one merge of sorted codes; ``descend`` shows the levels. The merge is left until the codes are
-        asked for: where blocks are found through the table, that is not in every frame.
+        whole descent is one merge of sorted codes. The merge is left until the codes are asked for: where blocks are
+        found through the table, that is not in every frame.
         """
         n, M = len(self), len(new)
         if not M:
@@ -250,18 +240,6 @@ class BlockIndex:
             raise ValueError(f"level must be between 0 (blocks) and {BITS} (root), got {k}")
         return (self.codes >> (3 * k)).unique_consecutive()
 
-    def descend(self, coords: Int[Tensor, "N 3"]) -> list[Int[Tensor, " P"]]:
-        """The nodes that inserting ``coords`` would create, level by level from the root down to the blocks.
-
-        Entry i holds the new codes ``21 - i`` levels above the blocks, so the last entry are the new blocks.
-        """
-        codes = encode(coords).unique()
-        created = []
-        for k in range(BITS, -1, -1):
-            nodes = (codes >> (3 * k)).unique_consecutive()
-            created.append(nodes[~torch.isin(nodes, self.level(k))])
-        return created
-
     def _search(self, codes: Tensor) -> Tensor:
         if not len(self):
             return torch.full_like(codes, -1)
@@ -287,8 +265,7 @@ class BlockIndex:
         if self._table is None or not fits:
             self._make_table()
         else:
-            cell = ((new.coords - self._low) * self._strides).sum(1)
-            self._table[cell] = rows
+            self._table[self._cell(new.coords)[0]] = rows
 
     def _make_table(self) -> None:
         """A table of the box around all blocks, with room for more, unless it would be too large."""
@@ -299,8 +276,7 @@ class BlockIndex:
         self._size = _corner(b - a + 2 * m + 1 for a, b, m in zip(low, high, margin, strict=True))
         self._table, cells = None, math.prod(self._size)
         if cells <= TABLE_CELLS:
-            strides = (self._size[1] * self._size[2], self._size[2], 1)
-            self._low, self._strides = torch.tensor([self._lowest, strides], device=self._codes.device)
+            self._low = torch.tensor(self._lowest, device=self._codes.device)
             self._table = torch.full((cells,), -1, dtype=torch.int32, device=self._codes.device)
             self._table[self._cell(decode(self.codes))[0]] = self.rows.to(torch.int32)
 

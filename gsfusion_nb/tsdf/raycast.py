@@ -10,7 +10,7 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_pose
 from ..geometry import pixel_grid, rays, se3
-from ..operands import check_view
+from ..geometry.operands import check_view
 from ..types import Camera
 from .volume import TsdfVolume, check_volume, corner_gradients, corner_weights
 

@@ -14,9 +14,8 @@ from torch import Tensor
 from ..backends import op, piece
 from ..checks import check_saved, check_shape
 from ..config import TsdfConfig, from_dict, to_dict
-from ..constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
-from ..operands import check_operand
-from .block_pool import BlockPool
+from ..geometry.operands import check_operand
+from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK, BlockPool
 from .octree import BlockIndex, NewBlocks, encode
 
 CORNERS = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)])

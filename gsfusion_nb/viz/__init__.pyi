@@ -68,5 +68,4 @@ from .steppers.tracking import icp_stepper as icp_stepper
 from .steppers.tracking import pose_graph_stepper as pose_graph_stepper
 from .steppers.volume import marching_cubes_stepper as marching_cubes_stepper
 from .steppers.volume import raycast_stepper as raycast_stepper
-from .summaries import html_summary as html_summary
 from .viewpoint import orbit_camera as orbit_camera

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import anywidget
 import traitlets as t
@@ -174,18 +174,14 @@ class Stroke:
 class ClickImage(anywidget.AnyWidget):
     """A picture that says where it is touched, with the mouse, a finger, or the arrow keys.
 
-    With touch "pixel", ``pixel`` is the (column, row) last clicked, dragged to, or reached with the arrow keys;
-    ``observe(f, "pixel")`` calls ``f`` at each change. With touch "stroke", ``on_stroke(f)`` calls ``f(stroke)`` while
-    the picture is dragged; each arrow key drags by 4 pixels. While ``f`` is at work, newer positions replace each
-    other, so that only the last one waits. The picture may be an enlarged copy of the image: positions are in pixels of
-    the image.
+    With touch "stroke", ``on_stroke(f)`` calls ``f(stroke)`` while the picture is dragged; each arrow key drags by 4
+    pixels. While ``f`` is at work, newer positions replace each other, so that only the last one waits.
 
     Args:
-        columns, rows: Size of the image, pixels.
         width: On screen, pixels; less where the page is narrower.
         format: "jpeg" for photographs, "png" for drawings.
         alt: What it shows, for screen readers.
-        touch: "pixel", "stroke", or "" for a picture that is only looked at.
+        touch: "stroke", or "" for a picture that is only looked at.
     """
 
     _esm = source("click_image.js")
@@ -195,39 +191,21 @@ class ClickImage(anywidget.AnyWidget):
     format = synced(t.Enum(("jpeg", "png"), "jpeg"))
     size = synced(t.Tuple(t.Int(), t.Int(), default_value=(1, 1)))
     width = synced(t.Int(320))
-    alt = synced(t.Unicode(""))
-    touch = synced(t.Enum(("", "pixel", "stroke"), "pixel"))
-    pixel = synced(t.Tuple(t.Int(), t.Int(), default_value=(0, 0)))
+    alt = synced(t.Unicode("picture"))
+    touch = synced(t.Enum(("", "stroke"), ""))
     stroke = synced(t.List(t.Float(), [0.0] * 6, minlen=6, maxlen=6))
-
-    def __init__(
-        self,
-        columns: int,
-        rows: int,
-        *,
-        width: int = 320,
-        format: str = "jpeg",
-        alt: str = "picture",
-        touch: Literal["", "pixel", "stroke"] = "pixel",
-    ):
-        super().__init__(size=(columns, rows), width=width, format=format, alt=alt, touch=touch)
 
     def show(self, picture: AnyImage) -> None:
         """Show another picture."""
+        height, width = picture.shape[:2]
+        self.size = (width, height)
         self.value = encode_jpeg(picture, 92) if self.format == "jpeg" else encode_png(picture, 3)
 
     def on_stroke(self, act: Callable[[Stroke], None]) -> None:
         """Call ``act`` with the newest state of each drag."""
-        self.observe(lambda _change: act(self.last_stroke), "stroke")
 
-    @property
-    def last_stroke(self) -> Stroke:
-        """The newest drag."""
-        number, shift, u0, v0, u, v = self.stroke
-        return Stroke(number=int(number), start=(u0, v0), now=(u, v), shift=bool(shift))
+        def touched(_change: Any) -> None:
+            number, shift, u0, v0, u, v = self.stroke
+            act(Stroke(number=int(number), start=(u0, v0), now=(u, v), shift=bool(shift)))
 
-    @t.validate("pixel")
-    def _inside(self, proposal: Any) -> tuple[int, int]:
-        u, v = proposal["value"]
-        columns, rows = self.size
-        return min(max(u, 0), columns - 1), min(max(v, 0), rows - 1)
+        self.observe(touched, "stroke")

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..drawing.curves import rgb_of
 from ..drawing.pictures import (
     AnyImage,
     Picture,
@@ -52,11 +53,9 @@ PALETTES = ("turbo", "viridis", "state")
 @functools.cache
 def palette(name: str) -> np.ndarray:
     """The 256 colours of a palette, bytes. [256, 3]"""
-    if name == "state":
-        return np.repeat([STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"]], 128, axis=0).astype(
-            np.uint8
-        )
-    return np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in colour_stops(name, 256)], np.uint8)
+    if name != "state":
+        return np.array([rgb_of(stop) for stop in colour_stops(name, 256)], np.uint8)
+    return np.repeat([STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"]], 128, axis=0).astype(np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -213,46 +212,9 @@ class MappedFrame:
     rendered: Picture
 
 
-@dataclass(frozen=True)
-class StepPanel:
-    """A picture of one step."""
-
-    caption: str
-    draw: Callable[[MappedFrame], Picture]
-
-
-def _depth_error(step: MappedFrame) -> Picture:
-    return depth_error_map(expected_depth_m(step.output), step.frame.depth_m, limit_m=_DEPTH_ERROR_M)
-
-
-def _base(step: MappedFrame) -> Picture:
-    return to_uint8(_below(step))
-
-
-def _residual(step: MappedFrame) -> Picture:
-    return to_uint8(0.5 + (step.output.rgb - _below(step)))
-
-
 def _below(step: MappedFrame) -> Tensor:
     mapper: Any = step.mapper
     return mapper.below(step.frame.camera, step.frame.T_WC).base.rgb
-
-
-def _new_gaussians(step: MappedFrame) -> Picture:
-    return _with_new_gaussians(step.photo.copy(), step)
-
-
-def _quadtree_seeds(step: MappedFrame) -> Picture:
-    cells = step.mapper.quadtree_cells(step.frame)
-    return _with_new_gaussians(paint_cells(step.photo, cells, by_level=False, strength=0.35), step)
-
-
-def _states(step: MappedFrame) -> Picture:
-    return state_picture(step.mapper.gaussians, step.output, step.frame.camera, step.frame.T_WC)
-
-
-def _seed_causes(step: MappedFrame) -> Picture:
-    return cause_picture(step.photo, step.mapper.gaussians, step.frame)
 
 
 def _with_new_gaussians(picture: Picture, step: MappedFrame) -> Picture:
@@ -261,51 +223,60 @@ def _with_new_gaussians(picture: Picture, step: MappedFrame) -> Picture:
     return picture
 
 
-PANELS: dict[str, StepPanel] = {
-    "input": StepPanel("photograph", lambda step: step.photo),
-    "render": StepPanel("Gaussian map, rendered", lambda step: step.rendered),
-    "error": StepPanel("|render − photograph|, bright from 0.25", lambda step: error_map(step.rendered, step.photo)),
-    "depth_error": StepPanel("|rendered depth − depth|, bright from 10 cm", _depth_error),
-    "base": StepPanel("the coloured TSDF alone, holes filled", _base),
-    "residual": StepPanel("what the Gaussians add: grey is nothing", _residual),
-    "new_gaussians": StepPanel("new Gaussians in red", _new_gaussians),
-    "quadtree_seeds": StepPanel("quadtree cells, new Gaussians in red", _quadtree_seeds),
-    "seed_causes": StepPanel("added for: green area, red depth, blue colour", _seed_causes),
-    "states": StepPanel("blue stable, orange unstable", _states),
+def _quadtree_seeds(step: MappedFrame) -> Picture:
+    cells = step.mapper.quadtree_cells(step.frame)
+    return _with_new_gaussians(paint_cells(step.photo, cells, by_level=False, strength=0.35), step)
+
+
+def _depth_error(step: MappedFrame) -> Picture:
+    return depth_error_map(expected_depth_m(step.output), step.frame.depth_m, limit_m=_DEPTH_ERROR_M)
+
+
+def _states(step: MappedFrame) -> Picture:
+    return state_picture(step.mapper.gaussians, step.output, step.frame.camera, step.frame.T_WC)
+
+
+PANELS: dict[str, tuple[str, Callable[[MappedFrame], Picture]]] = {
+    "input": ("photograph", lambda step: step.photo),
+    "render": ("Gaussian map, rendered", lambda step: step.rendered),
+    "error": ("|render − photograph|, bright from 0.25", lambda step: error_map(step.rendered, step.photo)),
+    "depth_error": ("|rendered depth − depth|, bright from 10 cm", _depth_error),
+    "base": ("the coloured TSDF alone, holes filled", lambda step: to_uint8(_below(step))),
+    "residual": (
+        "what the Gaussians add: grey is nothing",
+        lambda step: to_uint8(0.5 + (step.output.rgb - _below(step))),
+    ),
+    "new_gaussians": ("new Gaussians in red", lambda step: _with_new_gaussians(step.photo.copy(), step)),
+    "quadtree_seeds": ("quadtree cells, new Gaussians in red", _quadtree_seeds),
+    "seed_causes": (
+        "added for: green area, red depth, blue colour",
+        lambda step: cause_picture(step.photo, step.mapper.gaussians, step.frame),
+    ),
+    "states": ("blue stable, orange unstable", _states),
 }
-"""The names that ``Mapper.panels`` can hold."""
+"""The names that ``Mapper.panels`` can hold -> what it shows, and how it is drawn."""
 
 
 def captions_of(mapper: Mapper) -> dict[str, str]:
     """The panels of a system: name -> what it shows."""
-    return {name: PANELS[name].caption for name in mapper.panels}
+    return {name: PANELS[name][0] for name in mapper.panels}
 
 
 def columns_for(n_panels: int) -> int:
     """Panels in a row."""
-    return 2 if n_panels <= 4 else 3
+    return min(n_panels, 2) if n_panels <= 4 else 3
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LivePanels:
-    """Pictures of the same size by name, ``panels["render"]``."""
-
-    pictures: Mapping[str, Picture]
-    captions: Mapping[str, str]
-
-    def __getitem__(self, name: str) -> Picture:
-        return self.pictures[name]
-
-    def mosaic(self, scale: int = 1) -> Picture:
-        """All of them, two or three in a row, with labels; ``scale`` enlarges the pictures."""
-        big = {name: picture.repeat(scale, 0).repeat(scale, 1) for name, picture in self.pictures.items()}
-        names, wide = list(self.pictures), columns_for(len(self.pictures))
-        labels = {name: text.replace("−", "-") for name, text in self.captions.items()}
-        rows = [names[i : i + wide] for i in range(0, len(names), wide)]
-        return np.concatenate([side_by_side([big[n] for n in row], [labels[n] for n in row]) for row in rows])
+def mosaic(pictures: Mapping[str, Picture], captions: Mapping[str, str], scale: int = 1) -> Picture:
+    """Pictures of one size, two or three in a row, with labels; ``scale`` enlarges them."""
+    names, wide = list(pictures), columns_for(len(pictures))
+    big = {name: picture.repeat(scale, 0).repeat(scale, 1) for name, picture in pictures.items()}
+    labels = {name: captions[name].replace("−", "-") for name in names}
+    rows = [names[i : i + wide] for i in range(0, len(names), wide)]
+    return np.concatenate([side_by_side([big[n] for n in row], [labels[n] for n in row]) for row in rows])
 
 
-def live_panels(mapper: Mapper, frame: Frame) -> LivePanels:
+def live_panels(mapper: Mapper, frame: Frame) -> dict[str, Picture]:
     """Draw the state of the map after ``mapper.step(frame)``; 25 ms at 320x240 or less.
 
     Args:
@@ -316,5 +287,4 @@ def live_panels(mapper: Mapper, frame: Frame) -> LivePanels:
     step = MappedFrame(
         mapper=mapper, frame=frame, output=output, photo=to_uint8(frame.colour), rendered=to_uint8(output.rgb)
     )
-    pictures = {name: PANELS[name].draw(step) for name in mapper.panels}
-    return LivePanels(pictures=pictures, captions=captions_of(mapper))
+    return {name: PANELS[name][1](step) for name in mapper.panels}

@@ -27,8 +27,6 @@ FINE = ("meshes/raster", "meshes/fine")
 """JavaScript modules of the worker."""
 PAGE = ("lost", "projection", "camera", "mouse", "meshes/widget")
 """JavaScript modules of the page; its camera moves as in the splat viewer."""
-_TRIALS = 8
-"""Cell sizes that ``decimated`` tries."""
 _PROBE = (
     "import pyvista as pv; p = pv.Plotter(off_screen=True, window_size=(16, 16)); "
     "p.add_mesh(pv.Sphere()); assert p.screenshot(return_img=True).shape[:2] == (16, 16)"
@@ -116,10 +114,7 @@ def can_draw() -> tuple[bool, str]:
     if done.returncode == 0:
         return True, "ok"
     if done.returncode < 0:
-        return False, (
-            f"VTK ended with signal {-done.returncode}; on Debian or Ubuntu: "
-            "apt-get install -y --no-install-recommends libgl1 libegl1"
-        )
+        return False, "VTK crashed; on Debian or Ubuntu: apt-get install -y --no-install-recommends libgl1 libegl1"
     return False, (done.stderr.strip().splitlines() or ["unknown error"])[-1]
 
 
@@ -140,12 +135,11 @@ def decimated(mesh: Mesh, max_triangles: int) -> Mesh:
     corners = mesh.vertices_W[mesh.faces]
     area_m2 = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1).sum() / 2
     cell_m = float((2 * area_m2 / max_triangles).sqrt().clamp_min(1e-9))  # a grid of squares has two triangles in each
-    for _ in range(_TRIALS):
+    smaller = mesh
+    while len(smaller.faces) > max_triangles:
         smaller = _clustered(mesh, cell_m)
-        if len(smaller.faces) <= max_triangles:
-            return smaller
-        cell_m *= 1.05 * (len(smaller.faces) / max_triangles) ** 0.5
-    return smaller if len(smaller.faces) <= max_triangles else _first(smaller, max_triangles)
+        cell_m *= 1.05 * max(len(smaller.faces) / max_triangles, 1.0) ** 0.5
+    return smaller
 
 
 def _clustered(mesh: Mesh, cell_m: float) -> Mesh:
@@ -165,10 +159,6 @@ def _clustered(mesh: Mesh, cell_m: float) -> Mesh:
     first = faces.argmin(1, keepdim=True)
     turned = faces.gather(1, (first + torch.arange(3, device=faces.device)) % 3)  # same triangle, same row
     return Mesh(vertices_W=mean(mesh.vertices_W), faces=torch.unique(turned, dim=0), rgb=mean(mesh.rgb))
-
-
-def _first(mesh: Mesh, count: int) -> Mesh:
-    return Mesh(vertices_W=mesh.vertices_W, faces=mesh.faces[:count], rgb=mesh.rgb)
 
 
 def show_mesh(

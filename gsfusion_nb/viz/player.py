@@ -2,6 +2,7 @@
 
 import contextvars
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -46,11 +47,13 @@ class Player:
         self.error: BaseException | None = None
         self.n_steps = 0
         """Steps done."""
-        self._wish = threading.Condition()
-        self._run, self._stop, self._singles = False, False, 0
-        self._thread: threading.Thread | None = None
+        self._asking = threading.Lock()
+        self._wanted = 0.0
+        """Steps still to do, perhaps infinitely many; changes, as the two below, only while ``_asking`` is held."""
+        self._then: State = "paused"
         self._serving = False
-        """The thread is running and will read new requests; changes only while ``_wish`` is held."""
+        """The thread is running and will read new requests."""
+        self._thread: threading.Thread | None = None
 
     @property
     def state(self) -> State:
@@ -65,32 +68,28 @@ class Player:
     @property
     def keeps_running(self) -> bool:
         """Whether it runs, or is about to, until it is paused or stopped."""
-        return self._run and self._state not in ("finished", "failed")
+        return self._wanted == math.inf and self._state not in ("finished", "failed")
 
     @property
     def is_alive(self) -> bool:
-        """Whether the worker thread exists (it also exists while paused)."""
+        """Whether the worker thread exists."""
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
         """Run until paused, stopped or finished."""
-        self._want(run=True)
-        self._ensure_thread()
+        self._ask(math.inf)
 
     def pause(self) -> None:
         """Pause after the current step."""
-        self._want(run=False)
+        self._ask(0)
 
     def step(self) -> None:
         """Do one step, then pause."""
-        self._want(run=False, single=True)
-        self._ensure_thread()
+        self._ask(1)
 
     def stop(self) -> None:
-        """Stop the thread after the current step. ``start`` continues from there."""
-        self._want(run=False, stop=True)
-        if not self._serving and self.state in ("ready", "paused"):
-            self.state = "stopped"
+        """Stop after the current step. ``start`` continues from there."""
+        self._ask(0, "stopped")
 
     def close(self, timeout_s: float | int = 30.0) -> None:
         """Stop, and wait until the thread has ended."""
@@ -98,7 +97,7 @@ class Player:
         self.join(timeout_s)
 
     def join(self, timeout_s: float | int | None = None) -> bool:
-        """Wait until the thread has ended. Returns whether it has. A paused thread does not end by itself."""
+        """Wait until the thread has ended, as it does at each pause. Returns whether it has."""
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
             thread.join(timeout_s)
@@ -129,54 +128,47 @@ class Player:
         self._rest("paused")
         return done
 
-    def _want(self, *, run: bool, stop: bool = False, single: bool = False) -> None:
-        with self._wish:
-            self._run, self._stop = run, stop
-            self._singles = self._singles + 1 if single else 0
-            self._wish.notify_all()
+    def _ask(self, steps: float | int, then: State = "paused") -> None:
+        with self._asking:
+            more = self._wanted if self._wanted < math.inf and steps == 1 else 0
+            self._wanted, self._then = steps + more, then
+            if steps and not self._serving and self.state != "finished":
+                self.error, self._serving = None, True
+                context, threads = contextvars.copy_context(), torch.get_num_threads()  # a new thread inherits neither
+                self._thread = threading.Thread(
+                    target=context.run, args=(self._work, threads, self._thread), daemon=True
+                )
+                self._thread.start()
+            idle = not self._serving
+        if idle and then == "stopped" and self.state in ("ready", "paused"):
+            self.state = "stopped"
         self.on_state()
-
-    def _ensure_thread(self) -> None:
-        with self._wish:
-            if self._serving or self.state == "finished":
-                return
-            self.error, self._serving = None, True
-            context, threads = contextvars.copy_context(), torch.get_num_threads()  # a new thread inherits neither
-            previous = self._thread
-            self._thread = threading.Thread(target=context.run, args=(self._work, threads, previous), daemon=True)
-            self._thread.start()
 
     def _work(self, threads: int, previous: threading.Thread | None) -> None:
         if previous is not None:
             previous.join()
         torch.set_num_threads(threads)
-        state: State = "stopped"
         try:
-            while self._wait_for_work():
+            while self._take():
                 self.state = "running"
                 if not self._advance():
-                    state = "finished"
                     break
-                with self._wish:
-                    self._singles = max(self._singles - 1, 0)
-                    idle = not (self._run or self._singles or self._stop)
-                if idle:
-                    self._rest("paused")
+                with self._asking:
+                    self._wanted = max(self._wanted - 1, 0)
             self._leave()
-            self._rest(state)
+            self._rest(self._then)
         except BaseException as e:
             self._leave()
             self._fail(e)
 
-    def _wait_for_work(self) -> bool:
-        """Sleep while paused; False when asked to stop."""
-        with self._wish:
-            self._wish.wait_for(lambda: self._stop or self._run or self._singles)
-            self._serving = not self._stop
+    def _take(self) -> bool:
+        """Whether there is another step to do."""
+        with self._asking:
+            self._serving = self._wanted > 0
             return self._serving
 
     def _leave(self) -> None:
-        with self._wish:
+        with self._asking:
             self._serving = False
 
     def _advance(self) -> bool:
@@ -202,7 +194,7 @@ class Player:
 
     def _fail(self, error: BaseException) -> None:
         self._steps = None  # a generator that raised cannot continue
-        self._run = False
+        self._wanted = 0
         self.error, self.state = error, "failed"
         with self.lock:
             try:
@@ -224,33 +216,25 @@ def player_buttons(commands: Any, css_prefix: str, player: Player) -> dict[str, 
     """
     import ipywidgets as w
 
-    buttons = {}
-    for name, icon in _ICONS.items():
-        act: Callable[[], None] = getattr(commands, name.lower())
-        buttons[name] = w.Button(description=name, icon=icon, layout=w.Layout(width="88px"))
-        buttons[name].add_class(f"{css_prefix}-{name.lower()}")
-        buttons[name].on_click(lambda _, act=act: act())
+    buttons = {
+        name: w.Button(description=name, icon=icon, layout=w.Layout(width="88px")) for name, icon in _ICONS.items()
+    }
+    for name, button in buttons.items():
+        button.add_class(f"{css_prefix}-{name.lower()}")
+        button.on_click(lambda _, name=name: getattr(commands, name.lower())())
     writing = threading.RLock()
 
     def enable() -> None:
         with writing:  # two threads change the state: who writes last has read last
-            for name, useful in useful_buttons(player).items():
-                buttons[name].disabled = not useful
+            over, runs = player.state == "finished", player.keeps_running
+            stands = over or not (runs or player.state in ("running", "paused"))
+            useless = {"Start": over or runs, "Pause": over or not runs, "Step": over or runs, "Stop": stands}
+            for name, button in buttons.items():
+                button.disabled = useless[name]
 
     player.on_state = enable
     enable()
     return buttons
-
-
-def useful_buttons(player: Player) -> dict[str, bool]:
-    """Which buttons do something in the state of now."""
-    over = player.state == "finished"
-    return {
-        "Start": not over and not player.keeps_running,
-        "Pause": not over and player.keeps_running,
-        "Step": not over and not player.keeps_running,
-        "Stop": not over and (player.keeps_running or player.state in ("running", "paused")),
-    }
 
 
 MOST_ENTRIES = 400
@@ -270,60 +254,48 @@ class Scrubber:
         import ipywidgets as w
 
         self._show = show
-        self._entries: list[Any] = []
-        self._stride, self._seen, self._following, self._moving = 1, 0, True, False
+        self.entries: list[Any] = []
+        """What is kept, oldest first."""
+        self._stride, self._seen = 1, 0
+        self.following, self._moving = True, False
+        """Whether the newest step is shown; false while the slider is at an earlier one."""
         self.widget = w.IntSlider(
             min=0, max=0, value=0, description=what, disabled=True, readout=False, layout=w.Layout(width="420px")
         )
         self.widget.add_class(css_class)
         self.widget.observe(self._moved, names="value")
 
-    @property
-    def following(self) -> bool:
-        """Whether the newest step is shown; false while the slider is at an earlier one."""
-        return self._following
-
-    @property
-    def entries(self) -> list[Any]:
-        """What is kept, oldest first."""
-        return list(self._entries)
-
     def add(self, entry: Any) -> None:
         """Keep an entry; nothing is shown until ``show_newest``."""
-        if self._seen % self._stride == 0 or not self._entries:
-            self._entries.append(entry)
-        else:
-            self._entries[-1] = entry
+        if self._seen % self._stride and self.entries:
+            self.entries.pop()
+        self.entries.append(entry)
         self._seen += 1
-        if len(self._entries) > MOST_ENTRIES:
-            self._entries = [*self._entries[:-1][::2], self._entries[-1]]
+        if len(self.entries) > MOST_ENTRIES:
+            self.entries = [*self.entries[:-1][::2], entry]
             self._stride *= 2
 
     def show_newest(self) -> None:
         """Show the newest entry, unless somebody looks at an earlier one."""
-        if not self._entries:
+        last = len(self.entries) - 1
+        if last < 0:
             return
-        last = len(self._entries) - 1
         self._moving = True
-        try:
-            self.widget.max, self.widget.disabled = last, last == 0
-            if self._following:
-                self.widget.value = last
-        finally:
-            self._moving = False
-        if self._following:
-            self._show(self._entries[last])
+        self.widget.max, self.widget.disabled = last, last == 0
+        if self.following:
+            self.widget.value = last
+        self._moving = False
+        if self.following:
+            self._show(self.entries[last])
 
     def go_to(self, position: int) -> None:
-        """Show the entry at ``position``; negative ones count from the newest."""
+        """Show the entry at ``position``."""
         self.show_newest()
-        last = len(self._entries) - 1
-        if last >= 0:
-            self.widget.value = min(max(position + (last + 1 if position < 0 else 0), 0), last)
+        if self.entries:
+            self.widget.value = min(position, len(self.entries) - 1)
 
     def _moved(self, change: Any) -> None:
-        if self._moving or not self._entries:
-            return
-        position = min(change["new"], len(self._entries) - 1)
-        self._following = position == len(self._entries) - 1
-        self._show(self._entries[position])
+        if not self._moving and self.entries:
+            position = min(change["new"], len(self.entries) - 1)
+            self.following = position == len(self.entries) - 1
+            self._show(self.entries[position])

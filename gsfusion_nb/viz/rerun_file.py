@@ -48,7 +48,7 @@ class RerunFile:
         self._rr = rerun
         self._centres: list[list[float]] = []
         self._to = rerun.RecordingStream("gsfusion_nb")
-        self._to.save(self.path, default_blueprint=_layout())
+        self._to.save(self.path)
 
     def frame_mapped(self, mapper: Mapper, frame: Frame, report: StepReport) -> None:
         """Write the frame, its pose and its scores; every ``maps_every`` frames also the maps."""
@@ -103,31 +103,6 @@ class RerunFile:
             self._to.log("world/mesh", triangles)
 
 
-def _layout() -> Any:
-    """How the viewer opens the file: the maps large, the camera's pictures and the curves beside them."""
-    import rerun.blueprint as rrb
-
-    around = ["world/**", "- world/camera/depth"]
-    maps = rrb.Tabs(
-        rrb.Spatial3DView(origin="world", contents=[*around, "- world/mesh"], name="Gaussians"),
-        rrb.Spatial3DView(origin="world", contents=[*around, "- world/gaussians"], name="mesh"),
-    )
-    colour = rrb.Spatial2DView(origin="world/camera", contents="world/camera/colour", name="colour")
-    depth = rrb.Spatial2DView(origin="world/camera", contents="world/camera/depth", name="depth")
-    psnr = rrb.TimeSeriesView(
-        origin="scores", contents=["scores/psnr_before_db", "scores/psnr_after_db"], name="PSNR, dB"
-    )
-    counts = rrb.TimeSeriesView(origin="scores", contents=["scores/gaussians", "scores/seeds"], name="Gaussians")
-    seconds = rrb.TimeSeriesView(origin="scores", contents="scores/seconds", name="seconds per frame")
-    beside = rrb.Vertical(rrb.Horizontal(colour, depth), psnr, rrb.Tabs(counts, seconds))
-    whole = rrb.Horizontal(maps, beside, column_shares=[3, 2])
-    return rrb.Blueprint(
-        whole,
-        rrb.TimePanel(timeline="frame", state="collapsed", play_state="following"),
-        rrb.SelectionPanel(state="collapsed"),
-    )
-
-
 def _scores(report: StepReport) -> dict[str, float]:
     """Those of a frame; without those that were not measured, which leaves a gap in their curve."""
     scores = {
@@ -142,7 +117,7 @@ def _scores(report: StepReport) -> dict[str, float]:
 
 def _splats(rr: Any, params: GaussianParams) -> Any:
     """Gaussians with natural values: standard deviations, opacities, colours of the constant coefficient."""
-    from ..constants import SH_C0
+    from ..geometry.spherical_harmonics import SH_C0
 
     params = params[torch.stack([c.reshape(len(params), -1).isfinite().all(1) for c in vars(params).values()]).all(0)]
     rgb = (params.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1)

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from ..constants import SH_C0
 from ..drawing.page import fill
+from ..geometry.spherical_harmonics import SH_C0
 from ..types import GaussianParams
 
 Kind = Literal["frame", "level", "state", "number"]
@@ -147,15 +147,8 @@ class RowLayout:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RowPacket:
-    """One message to the front end."""
-
-    n: int
-    """Rows of the map after it."""
-    index: Int[np.ndarray, " M"] | None
-    """Which rows these are; ``None`` if all."""
-    records: UInt8[np.ndarray, "M S"]
+Packet = tuple[Int[np.ndarray, " M"] | None, UInt8[np.ndarray, "M S"]]
+"""One message to the front end: which rows these are, ``None`` if all, and their records."""
 
 
 def layout_for(params: GaussianParams, columns: int) -> RowLayout:
@@ -197,23 +190,22 @@ def pack_rows(params: GaussianParams, columns: Float[np.ndarray, "N C"], layout:
     return records.view(np.uint8).reshape(len(params), layout.stride)
 
 
-def packet_between(old: UInt8[np.ndarray, "_ _"] | None, new: UInt8[np.ndarray, "_ _"]) -> RowPacket | None:
+def packet_between(old: UInt8[np.ndarray, "_ _"] | None, new: UInt8[np.ndarray, "_ _"]) -> Packet | None:
     """What to send to a front end that holds ``old`` so that it holds ``new``; ``None`` if nothing changed.
 
     If the map only grew, the new rows are sent; if rows changed, those; if rows were removed, all rows are sent,
     since every row after a removed one has another number.
     """
-    everything = RowPacket(n=len(new), index=None, records=new)
     if old is None or old.shape[1] != new.shape[1] or len(old) > len(new):
-        return everything
+        return None, new
     words = [a[: len(old)].view(np.uint32) for a in (old, new)]
     changed = np.flatnonzero((words[0] != words[1]).any(axis=1))
     index = np.concatenate([changed, np.arange(len(old), len(new))]).astype(np.int32)
     if not len(index):
         return None
     if len(index) > MAX_CHANGED_SHARE * len(new):
-        return everything
-    return RowPacket(n=len(new), index=index, records=new[index])
+        return None, new
+    return index, new[index]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,26 +245,15 @@ class GaussianRecord:
 
 
 def gaussian_record(params: GaussianParams, columns: list[Column], row: int) -> GaussianRecord:
-    """The record of one row.
-
-    Raises:
-        IndexError: no such row.
-    """
-    if not 0 <= row < len(params):
-        raise IndexError(f"row must be between 0 and {len(params) - 1}, got {row}")
+    """The record of one row."""
     one = params[row : row + 1]
-    unit = torch.nn.functional.normalize(one.quat[0].double(), dim=0)
-
-    def numbers(values: torch.Tensor) -> tuple[float, ...]:
-        return tuple(float(v) for v in values)
-
+    values = {
+        "xyz_W": one.xyz_W[0],
+        "scale_m": one.log_scale[0].exp(),
+        "quat": torch.nn.functional.normalize(one.quat[0].double(), dim=0),
+        "rgb": one.sh[0, 0] * SH_C0 + 0.5,
+    }
     return GaussianRecord(
-        row=row,
-        xyz_W=numbers(one.xyz_W[0]),
-        scale_m=numbers(one.log_scale[0].exp()),
-        quat=numbers(unit),
-        opacity=float(one.opacity_logit[0].sigmoid()),
-        rgb=numbers(one.sh[0, 0] * SH_C0 + 0.5),
-        sh_degree=params.sh_degree,
-        extras={c.name: float(c.values[row]) for c in columns},
-    )
+        row=row, opacity=float(one.opacity_logit[0].sigmoid()), sh_degree=params.sh_degree,
+        extras={c.name: float(c.values[row]) for c in columns}, **{k: tuple(v.tolist()) for k, v in values.items()},
+    )  # fmt: skip

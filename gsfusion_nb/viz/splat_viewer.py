@@ -4,7 +4,6 @@ The browser draws (``static/``): with WebGL2 where there is a graphics card, els
 Rows are sent as binary messages and are not part of the widget's state, so a saved notebook does not hold the map.
 """
 
-import logging
 import threading
 import time
 from collections.abc import Mapping
@@ -19,15 +18,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_name, check_pose
-from ..constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
 from ..drawing.pictures import Picture, to_uint8
 from ..geometry.upright import world_up
+from ..render.constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
 from ..types import Camera, GaussianParams, RenderOutput
 from .display import Bundle, front_end, source, static_views, synced, with_picture
 from .map_pictures import PALETTES, Paint, depth_picture, map_picture, palette
 from .splat_rows import (
     Column,
     GaussianRecord,
+    RowLayout,
     columns_of,
     finite_rows,
     gaussian_record,
@@ -38,8 +38,6 @@ from .splat_rows import (
     with_surface,
 )
 from .viewpoint import Vector, places_of, viewing_camera
-
-log = logging.getLogger(__name__)
 
 ENGINE = ("splats/rows", "projection", "splats/colour", "splats/raster", "splats/engine")
 """JavaScript modules of the worker."""
@@ -213,11 +211,6 @@ class SplatViewer(anywidget.AnyWidget):
                 return None
             return gaussian_record(self._params, self._columns, self.picked)
 
-    def shown(self) -> tuple[GaussianParams, Float[np.ndarray, "N C"]]:
-        """The rows that are shown, and the columns that they can be coloured by."""
-        with self._lock:
-            return self._params, stacked(self._columns, len(self._params))
-
     def _show_record(self) -> None:
         """Names and values of the picked row, which the browser shows in the picture."""
         row = self.picked_row()
@@ -266,13 +259,6 @@ class SplatViewer(anywidget.AnyWidget):
         alt = f"A map of {len(self._params):,} Gaussians, {shown}"
         return with_picture(live[0] if isinstance(live, tuple) else live, self.picture(), repr(self), alt=alt)
 
-    @t.validate("background")
-    def _check_background(self, proposal: Any) -> str:
-        colour = proposal["value"]
-        if len(colour) != 7 or colour[0] != "#" or any(c not in "0123456789abcdefABCDEF" for c in colour[1:]):
-            raise t.TraitError(f'background must be a colour like "#202830", got {colour!r}')
-        return colour
-
     @t.validate("colour_by")
     def _check_colour_by(self, proposal: Any) -> str:
         check_name("colour_by", proposal["value"], ("rgb", "depth", "opacity", *(c.name for c in self._columns)))
@@ -298,19 +284,17 @@ class SplatViewer(anywidget.AnyWidget):
             frames = [c for c in self._columns if c.kind == "frame" and len(c.values)]
             self.birth_range = list(frames[0].limits) if frames else []
             bad = len(self._params) - int(finite_rows(self._params).sum())
-            notice = f"{bad:,} of the rows hold NaN or infinite numbers and are not drawn" if bad else ""
-            if notice and notice != self.notice:
-                log.warning("SplatViewer: %s", notice)
-            self.notice = notice
+            self.notice = f"{bad:,} of the rows hold NaN or infinite numbers and are not drawn" if bad else ""
 
     def _refresh(self) -> None:
         with self._lock, self._sending:  # always in this order: a caller of `update` may hold the first already
             self._timer = None
             self._read()
-            records = self._packed()
+            layout = layout_for(self._params, len(self._columns))
+            records = pack_rows(self._params, stacked(self._columns, len(self._params)), layout)
             self._describe()
             self._last_sent_s = time.monotonic()
-            self._send_rows(records)
+            self._send_rows(records, layout)
             self._show_record()
 
     def _refresh_late(self) -> None:
@@ -320,27 +304,20 @@ class SplatViewer(anywidget.AnyWidget):
         except ValueError as e:
             self.notice = str(e)
 
-    def _packed(self) -> np.ndarray:
-        return pack_rows(
-            self._params, stacked(self._columns, len(self._params)), layout_for(self._params, len(self._columns))
-        )
-
-    def _send_rows(self, records: np.ndarray) -> None:
+    def _send_rows(self, records: np.ndarray, layout: RowLayout) -> None:
         """Send the rows that the front end does not have; all rows if it has not answered (a cell may be running)."""
         if not (self._listening or self._displayed):
             return
         packet = packet_between(self._sent if self._listening else None, records)
         self._sent = records
-        if packet is None:
-            return
-        layout = layout_for(self._params, len(self._columns))
-        head = {
-            "n": packet.n, "stride": layout.stride, "columns": layout.columns, "harmonics": layout.harmonics,
-            "all": packet.index is None,
-        }  # fmt: skip
-        arrays = [packet.records] if packet.index is None else [packet.index, packet.records]
-        buffers = [a.tobytes() for a in arrays]
-        self.send({"kind": "rows", "head": head}, buffers)
+        if packet is not None:
+            index, rows = packet
+            head = {
+                "n": len(records), "stride": layout.stride, "columns": layout.columns, "harmonics": layout.harmonics,
+                "all": index is None,
+            }  # fmt: skip
+            buffers = [a.tobytes() for a in ([rows] if index is None else [index, rows])]
+            self.send({"kind": "rows", "head": head}, buffers)
 
     def _heard(self, _widget: Any, content: Any, _buffers: Any) -> None:
         """The front end has opened, or has missed a message."""

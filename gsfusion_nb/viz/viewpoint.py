@@ -47,7 +47,13 @@ def orbit_camera(
     if not distance_m >= 0:
         raise ValueError(f"distance_m must be >= 0, got {distance_m}")
     target = torch.as_tensor(target_W, dtype=torch.float64).cpu()
-    e1, e2, up = _plane(up_W)
+    up = torch.as_tensor(up_W, dtype=torch.float64).detach().cpu()
+    if not float(up.norm()) > 1e-9:
+        raise ValueError(f"up_W must be a direction of three numbers, got {up.tolist()}")
+    up = up / up.norm()
+    axis = torch.nn.functional.one_hot(up.abs().argmin(), 3).double()
+    e1 = torch.nn.functional.normalize(axis - (axis @ up) * up, dim=0)
+    e2 = torch.linalg.cross(up, e1)
     azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
     r = math.cos(azimuth) * e1 + math.sin(azimuth) * e2
     outwards = math.cos(elevation) * r + math.sin(elevation) * up
@@ -65,19 +71,6 @@ def extent(xyz_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "3"], float]:
     rows = xyz_W.detach().cpu()[:: max(1, len(xyz_W) // 20_000)].float()
     low, high = torch.quantile(rows, torch.tensor([0.02, 0.98]), dim=0)
     return (low + high) / 2, max(float((high - low).norm()) / 2, 1e-3)
-
-
-def _plane(up_W: Vector) -> tuple[Tensor, Tensor, Tensor]:
-    """Two horizontal directions and the unit up, a right-handed frame, float64."""
-    up = torch.as_tensor(up_W, dtype=torch.float64).detach().cpu()
-    if up.shape != (3,) or not float(up.norm()) > 1e-9 or not bool(up.isfinite().all()):
-        raise ValueError(f"up_W must be a direction of three numbers, got {up.tolist()}")
-    up = up / up.norm()
-    axis = torch.zeros(3, dtype=torch.float64)
-    axis[int(up.abs().argmin())] = 1.0
-    e1 = axis - (axis @ up) * up
-    e1 = e1 / e1.norm()
-    return e1, torch.linalg.cross(up, e1), up
 
 
 _FOCAL_PER_WIDTH = 0.7

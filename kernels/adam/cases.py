@@ -3,6 +3,7 @@
 Cases of ``adam_update`` and ``adam_update_map``: every way of counting steps, on parameters of every shape.
 """
 
+import functools
 from collections.abc import Iterator
 
 import torch
@@ -23,27 +24,27 @@ _MOMENTS = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-15}
 def cases() -> Iterator[Case]:
     """For each operation one for each kind of step count, and one for the rows in use of a map's buffer."""
     for steps in ("none", "shared", "per_row"):
-
-        def run(device: torch.device, dtype: torch.dtype, steps: str = steps) -> dict[str, Tensor]:
-            results = {}
-            for shape in _SHAPES:
-                size = "x".join(map(str, shape))
-                updated = _three_updates(shape, steps, device, dtype)
-                results |= {f"{name} {size}": value for name, value in updated.items()}
-            return results
-
+        run, run_map = functools.partial(_parameters, steps), functools.partial(_maps, steps)
         yield Case(name=f"step count {steps!r}", operations=("adam_update",), run=run)
-
-        def run_map(device: torch.device, dtype: torch.dtype, steps: str = steps) -> dict[str, Tensor]:
-            results = {}
-            for n, sh_degree in _MAPS:
-                maps = [make_params(sh_degree, device, dtype, n=n) for _ in range(4)]
-                results |= _three_updates_of(maps, steps, f"{n} rows, SH {sh_degree}")
-            return results
-
         yield Case(name=f"map, step count {steps!r}", operations=("adam_update_map",), run=run_map)
     yield Case(name="rows of a larger buffer", operations=("adam_update",), run=_part_of_a_buffer)
     yield Case(name="rows of a larger map", operations=("adam_update_map",), run=_part_of_a_map)
+
+
+def _parameters(steps: str, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+    results = {}
+    for shape in _SHAPES:
+        updated = _three_updates(shape, steps, device, dtype)
+        results |= {f"{name} {'x'.join(map(str, shape))}": value for name, value in updated.items()}
+    return results
+
+
+def _maps(steps: str, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+    results = {}
+    for n, sh_degree in _MAPS:
+        maps = [make_params(sh_degree, device, dtype, n=n) for _ in range(4)]
+        results |= _three_updates_of(maps, steps, f"{n} rows, SH {sh_degree}")
+    return results
 
 
 def _three_updates(shape: tuple[int, ...], steps: str, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
@@ -73,8 +74,12 @@ def _three_updates_of(maps: list[GaussianParams], steps: str, name: str) -> dict
         turned = GaussianParams(**{k: g.roll(t, 0) for k, g in vars(gradients).items()})
         counts = _count(steps, t, params.xyz_W)
         adam_update_map(params, turned, exp_avg, exp_avg_sq, counts, rates=_RATES, **_MOMENTS)
+    return _columns(params, exp_avg, exp_avg_sq, f", {name}")
+
+
+def _columns(params: GaussianParams, exp_avg: GaussianParams, exp_avg_sq: GaussianParams, what: str = "") -> dict:
     rows = {"param": params, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}
-    return {f"{kind} {k}, {name}": column for kind, columns in rows.items() for k, column in vars(columns).items()}
+    return {f"{kind} {k}{what}": column for kind, columns in rows.items() for k, column in vars(columns).items()}
 
 
 def _part_of_a_map(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
@@ -86,8 +91,7 @@ def _part_of_a_map(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor
     for rows, gradient in parts:
         some = [whole[rows] for whole in (params, exp_avg, exp_avg_sq)]
         adam_update_map(some[0], gradient, some[1], some[2], 7, rates=_RATES, **_MOMENTS)
-    rows = {"param": params, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}
-    return {f"{kind} {k}": column for kind, columns in rows.items() for k, column in vars(columns).items()}
+    return _columns(params, exp_avg, exp_avg_sq)
 
 
 def _part_of_a_buffer(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:

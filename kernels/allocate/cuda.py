@@ -2,8 +2,7 @@
 ``allocate.cu``. The host waits once, for their number.
 """
 
-import ctypes
-from typing import Annotated, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +16,7 @@ from gsfusion_nb.types import Frame
 
 from ..runtime.arguments import check_dtype, packed, parts
 from ..runtime.cuda.launch import device_of, launch
-from ..sample.cuda import Table
+from ..sample.cuda import table_of
 
 _EDGE, _BLOCK = 16, 128
 _PROGRAMS, _WIDE_BLOCK = 64, 256
@@ -28,70 +27,27 @@ _FIRST_SLOTS, _MOST_SLOTS = 1 << 17, 1 << 26
 """Size of the hash set: a power of two, at most half full, eight times larger when it was too small."""
 
 
-class Rays(NamedTuple):
-    """Pixel (x, y) has the ray ((x + x_offset) / fx, (y + y_offset) / fy, 1)."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    x_offset: float
-    y_offset: float
-
-
-class Limits(NamedTuple):
-    """Which depths take part, the band around them, metres, and how both are decided."""
-
-    near_m: float
-    far_m: float
-    truncation_m: float
-    outlier_ratio: float
-    guard: bool
-    ray: bool
-
-
-class View(NamedTuple):
-    """Rows of R_WC, blocks per metre; the camera's centre in its own block; that block."""
-
-    R: Annotated[list[float], ctypes.c_float * 9]
-    origin: Annotated[list[float], ctypes.c_float * 3]
-    base: Annotated[list[int], ctypes.c_int * 3]
-
-
-class Set(NamedTuple):
-    """The hash set, the list of its keys, the counts of both (``allocate.cu``), and their sizes."""
-
-    table: Tensor
-    list: Tensor
-    codes: Tensor
-    count: Tensor
-    mask: int
-    room: int
-
-
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     """See ``gsfusion_nb.tsdf.band_blocks``. Blocks in the order of the reference."""
     found = _entered("band_blocks", volume, frame)
     if found is None:
         return tsdf.band_blocks.reference(volume, frame)
     entries, counts = found
-    key = entries.list[: counts[_KEYS]].sort().values
+    key = entries["list"][: counts[_KEYS]].sort().values
     mask = (1 << BITS) - 1
     return torch.stack([key >> (2 * BITS), key >> BITS & mask, key & mask], dim=1) - OFFSET
 
 
 def new_band_blocks(volume: TsdfVolume, frame: Frame) -> NewBlocks:
     """See ``gsfusion_nb.tsdf.new_band_blocks``. A map that is too large for a table is searched by torch."""
-    lookup = volume.index.table
-    if volume.n_blocks and lookup is None:
+    if volume.n_blocks and volume.index.table is None:
         return volume.index.missing(band_blocks(volume, frame))
-    rows, _, size = lookup or (None, None, (0, 0, 0))
-    found = _entered("new_band_blocks", volume, frame, Table(rows=rows, low=volume.index.table_low, size=size))
+    found = _entered("new_band_blocks", volume, frame, table_of(volume))
     if found is None:
         return tsdf.new_band_blocks.reference(volume, frame)
     entries, counts = found
     n = counts[_MISSING]
-    codes = entries.codes[:n].sort().values
+    codes = entries["codes"][:n].sort().values
     coords = torch.empty(n, 3, dtype=torch.int64, device=codes.device)
     launch("new_band_blocks", "allocate:decode_blocks", parts(n, _BLOCK), _BLOCK, codes, coords, n)
     low = [OFFSET - 1 - number for number in counts[_LOWEST:_HIGHEST]]
@@ -100,10 +56,10 @@ def new_band_blocks(volume: TsdfVolume, frame: Frame) -> NewBlocks:
 
 
 def _entered(
-    operation: str, volume: TsdfVolume, frame: Frame, table: Table | None = None
-) -> tuple[Set, list[int]] | None:
+    operation: str, volume: TsdfVolume, frame: Frame, table: dict[str, Any] | None = None
+) -> tuple[dict[str, Any], list[int]] | None:
     """The blocks of the band and the counts; with a table also those that it lacks. None if no set is large enough."""
-    device = device_of(operation, volume=volume.D, depth_m=frame.depth_m)
+    device = device_of(operation, volume.D)
     check_dtype(operation, torch.float32, depth_m=frame.depth_m)
     config, camera, T = volume.config, frame.camera, frame.T_WC_cpu.double().numpy()
     position = T[:3, 3] / volume.block_size_m
@@ -111,34 +67,19 @@ def _entered(
     if np.abs(base).max() >= OFFSET:
         return None
     depth_m = packed(frame.depth_m)
-    view = View(
-        R=(T[:3, :3] / volume.block_size_m).flatten().tolist(),
-        origin=(position - base).tolist(),
-        base=base.astype(int).tolist(),
-    )
-    rays = Rays(
-        width=camera.width,
-        height=camera.height,
-        fx=camera.fx,
-        fy=camera.fy,
-        x_offset=0.5 - camera.cx,
-        y_offset=0.5 - camera.cy,
-    )
-    limits = Limits(
-        near_m=config.near_m,
-        far_m=config.far_m,
-        truncation_m=config.truncation_m,
-        outlier_ratio=OUTLIER_RATIO,
-        guard=config.outlier_guard,
-        ray=config.sdf == "ray",
-    )
+    view = {"R": (T[:3, :3] / volume.block_size_m).flatten().tolist()}  # blocks per metre
+    view |= {"origin": (position - base).tolist(), "base": base.astype(int).tolist()}
+    rays = {"width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy}
+    rays |= {"x_offset": 0.5 - camera.cx, "y_offset": 0.5 - camera.cy}
+    limits = {"near_m": config.near_m, "far_m": config.far_m, "truncation_m": config.truncation_m}
+    limits |= {"outlier_ratio": OUTLIER_RATIO, "guard": config.outlier_guard, "ray": config.sdf == "ray"}
     tiles = parts(camera.width, _EDGE), parts(camera.height, _EDGE)
     slots = _FIRST_SLOTS
     while slots <= _MOST_SLOTS:
         marks = torch.full((slots,), -1, dtype=torch.int64, device=device)
         keys, codes = torch.empty(2, slots // 2, dtype=torch.int64, device=device)
         count = torch.zeros(_COUNTS, dtype=torch.int32, device=device)
-        entries = Set(table=marks, list=keys, codes=codes, count=count, mask=slots - 1, room=slots // 2)
+        entries = {"table": marks, "list": keys, "codes": codes, "count": count, "mask": slots - 1, "room": slots // 2}
         launch(operation, "allocate:band_blocks", tiles, _EDGE**2, depth_m, rays, limits, view, entries)
         if table is not None:
             launch(operation, "allocate:missing_blocks", _PROGRAMS, _WIDE_BLOCK, entries, table)

@@ -7,7 +7,6 @@ The blocks that a view can meet, numbered from a corner: what the numba kernels 
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -29,6 +28,7 @@ from ..runtime.numba.simd import (
     either,
     floor,
     load,
+    mark,
     maximum,
     minimum,
     select,
@@ -36,8 +36,8 @@ from ..runtime.numba.simd import (
     sqrt,
     store,
     times,
+    truncate,
 )
-from ..runtime.numba.simd_int import mark, truncate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,23 +98,6 @@ _NEAREST, _FARTHEST, _LONGEST = range(3)
 """Rows of what a task finds out about its bands: smallest near end, largest far end, greatest length, metres."""
 
 
-class Limits(NamedTuple):
-    """Float32: which depths take part, metres; half the width of the band, metres; the largest difference between
-    neighbours that support each other, as a share of the depth."""
-
-    near: np.float32
-    far: np.float32
-    truncation: np.float32
-    outlier_ratio: np.float32
-
-
-class View(NamedTuple):
-    """Rows of R_WC, blocks per metre, and the camera's centre, blocks from the corner of the box; float32."""
-
-    R: np.ndarray
-    origin: np.ndarray
-
-
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     """See ``gsfusion_nb.tsdf.band_blocks``."""
     depth_m, config, camera = frame.depth_m, volume.config, frame.camera
@@ -124,12 +107,7 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     x, y = ray_slopes(camera)
     slopes = np.zeros(-(-width // 16) * 16, np.float32), y.numpy()
     slopes[0][:width] = x.numpy()
-    limits = Limits(
-        near=f32(config.near_m),
-        far=f32(config.far_m),
-        truncation=f32(config.truncation_m),
-        outlier_ratio=f32(OUTLIER_RATIO),
-    )
+    limits = tuple(map(f32, (config.near_m, config.far_m, config.truncation_m, OUTLIER_RATIO)))
     along_ray = config.sdf == "ray"
     depth = np.empty((height, len(slopes[0])), np.float32)
     extents = np.empty((-(-height // _ROWS), 3, 16), np.float32)
@@ -141,10 +119,10 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
         box = block_box(volume, frame, z_near, z_far)
         if math.prod(box.size) > _MAP_CELLS:
             return reference.reference(volume, frame)
-        view = View(R=np.array(box.R, np.float32), origin=np.array(box.origin, np.float32))
+        view = np.array(box.R, np.float32), np.array(box.origin, np.float32)
         marks = np.zeros(math.prod(box.size) // 8 * 8 + 8, np.uint8)
         pieces = box.pieces(float(extents[:, _LONGEST].max()))
-        _crossed(depth, slopes, limits.truncation, view, np.array(box.size), pieces, along_ray, marks)
+        _crossed(depth, slopes, f32(config.truncation_m), view, np.array(box.size), pieces, along_ray, marks)
         cells = _cells(marks, np.array(box.size))
     return torch.from_numpy(cells) + box.low
 
@@ -169,7 +147,9 @@ def _band(d, x, y, truncation, along_ray):
 def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
     """Depth in rows of full vectors, -1 where it takes no part.
 
-    ``extents`` [tasks, 3, 16]: see ``_NEAREST``; the extreme of each lane.
+    limits: which depths take part, metres; half the width of the band, metres; the largest difference between
+    neighbours that support each other, as a share of the depth. extents: [tasks, 3, 16], see ``_NEAREST``; the extreme
+    of each lane.
     """
     height, width = depth.shape
     stride = result.shape[1]
@@ -184,8 +164,7 @@ def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
         nearest, farthest = splat(_INFINITE), splat(_NOT_USED)
         longest = farthest
         zero, not_used = splat(_ZERO), splat(_NOT_USED)
-        near_m, far_m, truncation = splat(limits.near), splat(limits.far), splat(limits.truncation)
-        ratio = splat(limits.outlier_ratio)
+        near_m, far_m, truncation, ratio = splat(limits[0]), splat(limits[1]), splat(limits[2]), splat(limits[3])
         for i in range(first, last):
             row = result[i]
             for j in range(0, stride, 16):
@@ -210,13 +189,14 @@ def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
-    """Mark the cells of the box that the bands pass through.
+    """Mark the cells of the box that the bands pass through. view: rows of R_WC, blocks per metre; the camera's centre,
+    blocks from the corner of the box.
 
     Threads share the map: each only ever writes ones.
     """
     height, stride = depth.shape
     x, y = slopes
-    R, origin = view.R, view.origin
+    R, origin = view
     n = size[0] * size[1] * size[2]
     for task in prange((height + _ROWS - 1) // _ROWS):
         zero, nowhere, band = splat(_ZERO), splat(f32(n)), splat(truncation)

@@ -5,50 +5,21 @@ keeps it: two sorts with short keys. The number of pairs is the only value the h
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from gsfusion_nb.types import Camera
 
+from ..composite.layout import TILE
 from ..runtime.arguments import parts
 from ..runtime.cuda.launch import launch
 from .layout import check_pairs
 
-TILE = 16
-"""Edge of a tile, pixels; as in ``splat.cuh``."""
-
 _BLOCK = 128
 _SHORT_TILES = 1 << 15
 """An int16 numbers fewer tiles than this."""
-
-
-class Grid(NamedTuple):
-    """Size of the image, and tiles in a row."""
-
-    width: int
-    height: int
-    tiles_x: int
-
-
-class Pairs(NamedTuple):
-    """The (splat, tile) pairs that the kernel is to write, splat after splat in their order."""
-
-    order: Tensor
-    """int64 [N]: the splats in the order of each list."""
-    end: Tensor
-    """int64 [N]: in that order, one past each splat's last pair."""
-    count: Tensor
-    """int32 [N]: tiles of each splat."""
-    active: Tensor | None
-    """Which tiles are wanted; ``None`` for all."""
-    short_tile: Tensor | None
-    """int16 [I], to be written: the tile, where that numbers all tiles; else ``None``, and ``tile`` is written."""
-    tile: Tensor | None
-    """int32 [I]"""
-    ids: Tensor
-    """int32 [I], to be written: the splat."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,6 +34,11 @@ class TileLists:
     """Tiles in a row."""
     n_tiles: int
 
+    def work(self, splats: Tensor, camera: Camera, pixels: Tensor | None) -> dict[str, Any]:
+        """What the kernels of ``square.cuh`` are given. ``pixels``: uint8, those to be drawn; ``None`` for all."""
+        size = {"width": camera.width, "height": camera.height, "tiles_x": self.tiles_x}
+        return size | {"splats": splats, "ids": self.ids, "offset": self.offset, "pixels": pixels}
+
 
 def list_tiles(
     splats: Tensor, depth: Tensor, camera: Camera, pixels: Tensor | None, *, by_depth: bool = True
@@ -75,8 +51,9 @@ def list_tiles(
         ValueError: there are more pairs than an int32 can number.
     """
     N, device = len(splats), splats.device
-    grid = Grid(width=camera.width, height=camera.height, tiles_x=parts(camera.width, TILE))
-    n_tiles = grid.tiles_x * parts(camera.height, TILE)
+    tiles_x = parts(camera.width, TILE)
+    grid = {"width": camera.width, "height": camera.height, "tiles_x": tiles_x}
+    n_tiles = tiles_x * parts(camera.height, TILE)
     active, before = (None, None) if pixels is None else _active_tiles(pixels)
     count = torch.empty(N, dtype=torch.int32, device=device)
     blocks = parts(N, _BLOCK)
@@ -87,20 +64,14 @@ def list_tiles(
     check_pairs(total)
     short = n_tiles < _SHORT_TILES
     tile = torch.empty(total, dtype=torch.int16 if short else torch.int32, device=device)
-    pairs = Pairs(
-        order=order,
-        end=end,
-        count=count,
-        active=active,
-        short_tile=tile if short else None,
-        tile=None if short else tile,
-        ids=torch.empty(total, dtype=torch.int32, device=device),
-    )
+    ids = torch.empty(total, dtype=torch.int32, device=device)
+    pairs = {"order": order, "end": end, "count": count, "active": active, "ids": ids}
+    pairs |= {"short_tile": tile if short else None, "tile": None if short else tile}
     launch("render_forward", "binning:list_tiles", blocks, _BLOCK, splats, pairs, N, grid)
     tile, place = torch.sort(tile, stable=True)
     numbers = torch.arange(n_tiles + 1, dtype=tile.dtype, device=device)
     offset = torch.searchsorted(tile, numbers, out_int32=True)
-    return TileLists(ids=pairs.ids.index_select(0, place), offset=offset, tiles_x=grid.tiles_x, n_tiles=n_tiles)
+    return TileLists(ids=ids.index_select(0, place), offset=offset, tiles_x=tiles_x, n_tiles=n_tiles)
 
 
 def _active_tiles(pixels: Tensor) -> tuple[Tensor, Tensor]:

@@ -4,9 +4,8 @@ import numpy as np
 from numba import njit, prange
 
 from ..composite.layout import TILE, PairLists
-from ..project.geometry import tiles_of
 from ..project.layout import DEPTH
-from ..project.numba import CHUNK, NOTED_PER_CHUNK
+from ..project.numba import CHUNK, NOTED_PER_CHUNK, tiles_of
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
 from .layout import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
 

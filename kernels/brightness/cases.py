@@ -3,6 +3,7 @@
 Cases of ``brightness_system``: a patterned, curved wall seen twice, in the same and in another exposure.
 """
 
+import functools
 from collections.abc import Iterator
 
 import torch
@@ -18,10 +19,7 @@ from ..runtime.cases import HEIGHT, WIDTH, Case, make_frame
 def cases() -> Iterator[Case]:
     """With a narrow and a wide limit of depth."""
     for limit_m in (0.02, 10.0):
-
-        def run(device: torch.device, dtype: torch.dtype, limit_m: float = limit_m) -> dict[str, Tensor]:
-            return _sums(limit_m, device, dtype)
-
+        run = functools.partial(_sums, limit_m)
         yield Case(name=f"max_distance_m={limit_m}", operations=("brightness_system",), run=run)
 
 

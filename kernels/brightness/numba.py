@@ -7,8 +7,6 @@ sqrt(w) [J, r, 1] in columns, then multiplies them; rows are added up in order.
 # Arrays are passed on as tuples, which pyright cannot follow:
 # pyright: reportCallIssue=false
 
-from typing import NamedTuple
-
 import numpy as np
 import torch
 from numba import njit, prange
@@ -31,16 +29,6 @@ _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 _FLAT_SQUARE, _PER_ERROR = f32(FLAT) * f32(FLAT), f32(1.0 / USUAL_ERROR)
 
 
-class Seen(NamedTuple):
-    """Depth and brightness of the frame [H, W]; depth, brightness [h, w] and gradient [h, w, 2] of the picture."""
-
-    depth: np.ndarray
-    brightness: np.ndarray
-    picture_depth: np.ndarray
-    picture: np.ndarray
-    gradient: np.ndarray
-
-
 def brightness_system(
     level: DepthLevel,
     brightness: Tensor,
@@ -55,7 +43,7 @@ def brightness_system(
     if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in images):
         options = {"max_distance_m": max_distance_m, "offset": offset}
         return reference.reference(level, brightness, T_WC, picture, **options)
-    seen = Seen(*(t.detach().contiguous().numpy() for t in images))
+    seen = tuple(t.detach().contiguous().numpy() for t in images)
     poses = poses_of(T_WC, picture.T_WC)
     with launching():
         sums, n = _sum_rows(
@@ -66,14 +54,18 @@ def brightness_system(
 
 @njit(cache=True, error_model="numpy")
 def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns):
-    """Write sqrt(w) [J, r, 1] of the pixels of row j that both see to ``columns``; their number."""
+    """Write sqrt(w) [J, r, 1] of the pixels of row j that both see to ``columns``; their number.
+
+    seen: depth and brightness of the frame [H, W]; depth, brightness [h, w] and gradient [h, w, 2] of the picture.
+    """
+    depth, brightness, picture_depth, picture, gradient = seen
     T, R = poses.T_WC, poses.R_WS
-    height, width = seen.picture.shape
+    height, width = picture.shape
     fx, fy, cx, cy = picture_lens.fx, picture_lens.fy, picture_lens.cx, picture_lens.cy
     y = (f32(j) + _HALF - lens.cy) / lens.fy
     k = 0
-    for i in range(seen.depth.shape[1]):
-        z = seen.depth[j, i]
+    for i in range(depth.shape[1]):
+        z = depth[j, i]
         if not z > _ZERO:
             continue
         X, Y = z * ((f32(i) + _HALF - lens.cx) / lens.fx), z * y
@@ -88,11 +80,11 @@ def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns
         if not (u >= _ZERO and u < f32(width) and v >= _ZERO and v < f32(height)):
             continue
         column, row = int(u), int(v)
-        d, a, b = seen.picture_depth[row, column], seen.gradient[row, column, 0], seen.gradient[row, column, 1]
+        d, a, b = picture_depth[row, column], gradient[row, column, 0], gradient[row, column, 1]
         if not (d > _ZERO and abs(s2 - d) <= max_distance_m and a * a + b * b >= _FLAT_SQUARE):
             continue
-        r = seen.picture[row, column] + a * (u - f32(column) - _HALF) + b * (v - f32(row) - _HALF)
-        r -= seen.brightness[j, i]
+        r = picture[row, column] + a * (u - f32(column) - _HALF) + b * (v - f32(row) - _HALF)
+        r -= brightness[j, i]
         off = (r - offset) * _PER_ERROR
         w = np.sqrt(_ONE / (_ONE + off * off))
         a, b = w * (a * fx / s2), w * (b * fy / s2)
@@ -110,7 +102,7 @@ def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns
 @njit(parallel=True, cache=True, error_model="numpy")
 def _sum_rows(seen, poses, lens, picture_lens, max_distance_m, offset):
     """The sums for each row of pixels [H, 36], and the number of pixels [H]."""
-    height, width = seen.depth.shape
+    height, width = seen[0].shape
     sums, count = np.empty((height, _N_SUMS)), np.empty(height, np.int64)
     for j in prange(height):
         columns = np.empty((_N_COLUMNS, width), np.float32)

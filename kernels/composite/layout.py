@@ -1,14 +1,11 @@
 """Arrays that the kernels of compositing share: tiles, lists of pairs, images, sums of the gradient."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from torch import Tensor
-
-from gsfusion_nb.types import Camera
 
 TILE = 16
-"""Edge of a tile, pixels: a row of it is one vector."""
+"""Edge of a tile, pixels, as in ``splat.cuh``; in numba a row of it is one vector."""
 
 
 class PairLists(NamedTuple):
@@ -30,15 +27,6 @@ class Image(NamedTuple):
     alpha: np.ndarray
 
 
-class Wanted(NamedTuple):
-    """What the gradient is computed for."""
-
-    pixels: np.ndarray
-    """bool [H, W], those that are drawn, or [0, 0] for all."""
-    rows: np.ndarray
-    """bool [N], splats whose gradient is wanted, or [0] for all."""
-
-
 class IndexImages(NamedTuple):
     """Rows of the first and of the heaviest splat of each pixel, and of the first opaque one; -1 for none.
 
@@ -54,32 +42,3 @@ SUM_GX, SUM_GY, SUM_GXX, SUM_GXY, SUM_GYY, SUM_G, SUM_RED, SUM_GREEN, SUM_BLUE, 
 
 PAIR_SUMS = 10
 """Numbers in a row."""
-
-
-if TYPE_CHECKING:
-    from ..binning.cuda import TileLists
-
-
-class Work(NamedTuple):
-    """What is to be composited, in which pixels (``None``: all)."""
-
-    splats: Tensor
-    ids: Tensor
-    offset: Tensor
-    pixels: Tensor | None
-    width: int
-    height: int
-    tiles_x: int
-
-    @staticmethod
-    def of(splats: Tensor, lists: "TileLists", camera: Camera, pixels: Tensor | None) -> "Work":
-        """The list of each tile of an image; ``pixels``: uint8, those to be drawn."""
-        return Work(
-            splats=splats,
-            ids=lists.ids,
-            offset=lists.offset,
-            pixels=pixels,
-            width=camera.width,
-            height=camera.height,
-            tiles_x=lists.tiles_x,
-        )

@@ -15,8 +15,8 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
+from gsfusion_nb.render.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..runtime.arguments import lens_of

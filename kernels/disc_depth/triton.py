@@ -11,8 +11,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
+from gsfusion_nb.render.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..runtime.arguments import lens_of
@@ -46,7 +46,7 @@ def disc_depth(
     min_cosine: float = DISC_MIN_COSINE,
 ) -> reference.DiscDepth:
     """See ``gsfusion_nb.render.disc_depth``. A row beyond the last is taken for no hit: the host would have to wait."""
-    device = device_of("disc_depth", **vars(params), hit_index=hit_index)
+    device = device_of("disc_depth", params.xyz_W)
     depth, normal = (torch.empty(*hit_index.shape, *n, dtype=torch.float32, device=device) for n in ((), (3,)))
     on_plane = torch.empty(hit_index.shape, dtype=torch.uint8, device=device)
     launch(
@@ -76,7 +76,7 @@ def disc_depth_vjp(
     rows: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
-    device = device_of("disc_depth_vjp", **vars(params), hit_index=hit_index, v_depth_m=v_depth_m, rows=rows)
+    device = device_of("disc_depth_vjp", params.xyz_W)
     discs, N = _discs_of(params, T_WC, device), len(params)
     v_disc = torch.zeros(N, _V_DISC.value, dtype=torch.float32, device=device)
     v_xyz, v_quat = (torch.empty(N, n, dtype=torch.float32, device=device) for n in (3, 4))

@@ -1,4 +1,4 @@
-"""Visibility and size in the image of every Gaussian, in one pass over the rows; float64 goes to backend "torch"."""
+"""Visibility and size in the image of every Gaussian, in one pass over the rows; float64 goes to the reference."""
 
 import math
 
@@ -7,14 +7,12 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M
-from gsfusion_nb.geometry import se3
+from gsfusion_nb.render.constants import ALPHA_MIN, NEAR_PLANE_M
 from gsfusion_nb.render.on_screen import Footprints
 from gsfusion_nb.types import Camera, GaussianParams
 
-from ..project.geometry import camera_point
-from ..project.layout import DEPTH, EXTENT_U, EXTENT_V, HEIGHT, LN_OPACITY, SPLAT, WIDTH, Params, U, V, pack_camera
-from ..project.numba import CHUNK, _project
+from ..project.layout import DEPTH, EXTENT_U, EXTENT_V, HEIGHT, LN_OPACITY, SPLAT, WIDTH, U, V, arrays_of, pack_camera
+from ..project.numba import CHUNK, _project, camera_point
 from ..runtime.numba.launch import launching
 
 f32 = np.float32
@@ -23,13 +21,9 @@ _NEAR, _ALPHA_MIN, _ONE, _ZERO = f32(NEAR_PLANE_M), f32(ALPHA_MIN), f32(1.0), f3
 
 def footprints(params: GaussianParams, camera: Camera, T_WC: Tensor) -> Footprints:
     """See ``gsfusion_nb.render.on_screen``."""
-    columns = (params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh)
-    arrays = Params(*(t.detach().contiguous().numpy() for t in columns))
-    T = T_WC.detach().double()
-    cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
     radius_px = torch.empty(len(params), dtype=torch.float32)
     with launching():
-        _radii(arrays, cam, radius_px.numpy())
+        _radii(arrays_of(params), pack_camera(camera, T_WC), radius_px.numpy())
     return Footprints(visible=radius_px > 0, radius_px=radius_px)
 
 

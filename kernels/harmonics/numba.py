@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
-from gsfusion_nb.constants import SH_C0
 from gsfusion_nb.geometry import spherical_harmonics as reference
+from gsfusion_nb.geometry.spherical_harmonics import SH_C0
 
 from ..runtime.numba import shared_cache as shared_cache  # before the functions are made
 

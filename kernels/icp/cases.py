@@ -3,6 +3,7 @@
 Cases of ``icp_system``: a curved wall seen twice, with narrow and with wide gates.
 """
 
+import functools
 from collections.abc import Iterator
 
 import torch
@@ -18,14 +19,9 @@ from ..runtime.cases import HEIGHT, WIDTH, Case, make_frame
 def cases() -> Iterator[Case]:
     """With and without weights that fall with the depth."""
     for even_to_m in (None, 1.0):
-
-        def run(device: torch.device, dtype: torch.dtype, even_to_m: float | None = even_to_m) -> dict[str, Tensor]:
-            results = {}
-            for gates in ((0.02, 0.9), (10.0, -1.1)):
-                results |= _sums(gates, even_to_m, device, dtype)
-            return results
-
-        yield Case(name=f"even_to_m={even_to_m}", operations=("icp_system",), run=run)
+        for gates in ((0.02, 0.9), (10.0, -1.1)):
+            run = functools.partial(_sums, gates, even_to_m)
+            yield Case(name=f"even_to_m={even_to_m}, gates {gates}", operations=("icp_system",), run=run)
 
 
 def _sums(gates: tuple[float, float], even_to_m: float | None, device, dtype) -> dict[str, Tensor]:
@@ -35,7 +31,7 @@ def _sums(gates: tuple[float, float], even_to_m: float | None, device, dtype) ->
     surface = Surface(camera=camera, T_WC=torch.eye(4, device=device), **_wall(camera, device, dtype, "normal_W"))
     T_WC = se3.exp(torch.tensor([0.01, 0.02, -0.01, 0.01, -0.015, 0.02]).double()).to(device)
     system = icp_system(level, T_WC, surface, max_distance_m=gates[0], min_cosine=gates[1], even_to_m=even_to_m)
-    return {f"{name} gates {gates}": torch.as_tensor(value) for name, value in vars(system).items()}
+    return {name: torch.as_tensor(value) for name, value in vars(system).items()}
 
 
 def _wall(camera: Camera, device, dtype, normals: str) -> dict[str, Tensor]:

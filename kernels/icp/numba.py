@@ -30,26 +30,11 @@ _N_COLUMNS = 8
 _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 
 
-class Images(NamedTuple):
-    """Depth [H, W] and normals [H, W, 3] of a frame, or of the surface that it is aligned with. float32"""
-
-    depth: np.ndarray
-    normal: np.ndarray
-
-
 class Poses(NamedTuple):
     """T_WC about the centre of the surface's camera [4, 4]; rotation of that camera [3, 3]. float32"""
 
     T_WC: np.ndarray
     R_WS: np.ndarray
-
-
-class Gates(NamedTuple):
-    """What a correspondence must meet, and the depth up to which all have the same weight. float32"""
-
-    max_square_m2: np.float32
-    min_cosine: np.float32
-    even_to_m: np.float32
 
 
 def icp_system(
@@ -68,12 +53,9 @@ def icp_system(
         return reference.reference(level, T_WC, surface, **options)
     depth, normal, surface_depth, surface_normal = (t.detach().contiguous().numpy() for t in images)
     poses = poses_of(T_WC, surface.T_WC)
-    gates = Gates(
-        max_square_m2=f32(max_distance_m) * f32(max_distance_m),
-        min_cosine=f32(min_cosine),
-        even_to_m=f32(np.inf if even_to_m is None else even_to_m),
-    )
-    frame, model = Images(depth=depth, normal=normal), Images(depth=surface_depth, normal=surface_normal)
+    max_square_m2, even = f32(max_distance_m) * f32(max_distance_m), f32(np.inf if even_to_m is None else even_to_m)
+    gates = max_square_m2, f32(min_cosine), even
+    frame, model = (depth, normal), (surface_depth, surface_normal)
     with launching():
         sums = _sum_rows(frame, model, poses, lens_of(level.camera, f32), lens_of(surface.camera, f32), gates)
     return to_system(torch.from_numpy(sums.sum(0)))
@@ -98,9 +80,13 @@ def dot(a, b, n):
 
 @njit(cache=True, error_model="numpy")
 def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
-    """Write sqrt(w) [J, r, 1] of the correspondences of row j to ``columns``; their number, and that of the overlap."""
-    depth, normal = frame.depth, frame.normal
-    surface_depth, surface_normal = model.depth, model.normal
+    """Write sqrt(w) [J, r, 1] of the correspondences of row j to ``columns``; their number, and that of the overlap.
+
+    frame, model: depth [H, W] and normals [H, W, 3] of the frame, and of the surface that it is aligned with. gates:
+    the largest square of a distance, the least cosine, and the depth up to which all have the same weight.
+    """
+    (depth, normal), (surface_depth, surface_normal) = frame, model
+    max_square_m2, min_cosine, even_to_m = gates
     T, R = poses.T_WC, poses.R_WS
     height, width = surface_depth.shape
     fx, fy, cx, cy = surface_lens.fx, surface_lens.fy, surface_lens.cx, surface_lens.cy
@@ -132,7 +118,7 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
         e0 = p0 - (R[0, 0] * X + R[0, 1] * Y + R[0, 2] * d)
         e1 = p1 - (R[1, 0] * X + R[1, 1] * Y + R[1, 2] * d)
         e2 = p2 - (R[2, 0] * X + R[2, 1] * Y + R[2, 2] * d)
-        if not e0 * e0 + e1 * e1 + e2 * e2 <= gates.max_square_m2:
+        if not e0 * e0 + e1 * e1 + e2 * e2 <= max_square_m2:
             continue
         a, b, c = normal[j, i, 0], normal[j, i, 1], normal[j, i, 2]
         cosine = (
@@ -140,9 +126,9 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
             + n1 * (T[1, 0] * a + T[1, 1] * b + T[1, 2] * c)
             + n2 * (T[2, 0] * a + T[2, 1] * b + T[2, 2] * c)
         )
-        if not cosine >= gates.min_cosine:
+        if not cosine >= min_cosine:
             continue
-        near = gates.even_to_m / z
+        near = even_to_m / z
         w = near * near if near < _ONE else _ONE  # the square root of the weight, on both factors of each product
         k = n_inliers
         columns[_RESIDUAL, k] = w * (e0 * n0 + e1 * n1 + e2 * n2)
@@ -158,7 +144,7 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
 @njit(parallel=True, cache=True, error_model="numpy")
 def _sum_rows(frame, model, poses, lens, surface_lens, gates):
     """The sums of ``host.to_system`` for each row of pixels [H, N_SUMS]."""
-    height, width = frame.depth.shape
+    height, width = frame[0].shape
     sums = np.empty((height, N_SUMS))
     for j in prange(height):
         columns = np.empty((_N_COLUMNS, width), np.float32)

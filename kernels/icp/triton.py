@@ -42,7 +42,7 @@ def icp_system(
     if any(t.dtype != torch.float32 for t in images.values()):
         options = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": even_to_m}
         return reference.reference(level, T_WC, surface, **options)
-    device = device_of("icp_system", **images)
+    device = device_of("icp_system", level.depth_m)
     T, R_WS = (pose.to(device) for pose in about_the_surface(T_WC.detach(), surface.T_WC, torch.float32))
     depth, normal, surface_depth, surface_normal = (t.detach().contiguous() for t in images.values())
     total = level.depth_m.numel()

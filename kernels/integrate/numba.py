@@ -2,41 +2,57 @@
 
 A block is 32 vectors of two rows of eight voxels. Its homogeneous pixel coordinates are one corner plus 512 offsets
 that all blocks share, as in the reference, whose roundings are repeated here: distance "z" gives the same bits.
+
+Which blocks a frame can observe: in view, not beyond the largest depth, not hidden behind what is seen. For that a
+pyramid of tiles holds the largest depth in any part of the image; it is made while depth and colour are packed into
+words.
 """
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
 # pyright: reportCallIssue=false
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
-from numba import int32, njit, prange
+from numba import int32, njit, prange, uint32, uint64
 
-from gsfusion_nb.constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.tsdf.block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.integrate import INT16_ONE, LEAST_COLOUR_WEIGHT, LITTLE_COLOUR, NEAREST_COLOUR_M
 from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
 from ..runtime.numba.launch import launching
-from ..runtime.numba.simd import absolute, any_lane, load, maximum, minimum, select, splat, sqrt, store, times
-from ..runtime.numba.simd_int import (
+from ..runtime.numba.simd import (
+    absolute,
+    any_lane,
+    byte_triples,
     count_lanes,
     first_byte,
+    float_bits,
     gather,
     gather_pairs,
+    load,
+    maximum,
+    minimum,
     prefetch,
     second_byte,
+    select,
+    splat,
     splat_int,
+    sqrt,
+    store,
+    store_pairs,
     third_byte,
+    times,
     truncate,
 )
-from .depth_pyramid import MISSING, find_observable, packed_image
-from .layout import Image, Limits, Method, View, Voxels
 
 f32 = np.float32
 _EPS = f32(1e-4)
-_ZERO, _ONE = f32(0.0), f32(1.0)
+_ZERO, _ONE, _INFINITE = f32(0.0), f32(1.0), f32(np.inf)
 _GREY_LEVELS = f32(255.0)
 _LEAST, _LITTLE, _MOST_BY_DISTANCE = f32(LEAST_COLOUR_WEIGHT), f32(LITTLE_COLOUR), f32(NEAREST_COLOUR_M**-2)
 _MEAN, _EQ9, _INT16 = range(3)
@@ -52,6 +68,182 @@ _NO_FLOATS, _NO_BYTES = np.empty(0, np.float32), np.empty(0, np.uint8)
 
 _U, _V, _Z = range(0, 3 * VOXELS_PER_BLOCK, VOXELS_PER_BLOCK)
 """Where the planes of the voxels' offsets begin."""
+
+
+class Limits(NamedTuple):
+    """Metres, float64; the largest weight is a count."""
+
+    far: float
+    truncation: float
+    voxel_size: float
+    max_weight: float
+    colour_band: float
+    """Half width of the band in which colours count, metres; 0: all do."""
+
+
+class Voxels(NamedTuple):
+    """The blocks [B, 3] and the values of their voxels, block after block."""
+
+    coords: np.ndarray
+    D: np.ndarray
+    W: np.ndarray
+    rgb: np.ndarray
+    W_rgb: np.ndarray
+
+
+MISSING = f32(-1e9)
+"""Unknown depth."""
+
+_TILE = 8
+"""Edge of the finest tiles, pixels."""
+
+_SCAN = 4
+"""A box is looked up on the level of the pyramid where it is less than this many tiles wide."""
+
+_FIRST, _ROWS, _COLUMNS = range(3)
+"""Columns of a pyramid's table of levels: place of the first number, rows, columns."""
+
+
+class DepthPyramid(NamedTuple):
+    """Largest depth of tiles of 8, 16, 32 ... pixels, level after level in one array."""
+
+    largest: np.ndarray
+    levels: np.ndarray
+    """[L, 3]: see ``_FIRST``."""
+
+
+def packed_image(depth: np.ndarray, colour: np.ndarray, near_m: float) -> tuple[np.ndarray, DepthPyramid]:
+    """Depth bits and, if ``colour`` [H W 3] has any bytes, colour of every pixel in one word; a pyramid of depths.
+
+    Unknown depth becomes ``MISSING``.
+    """
+    height, width = depth.shape
+    levels = [(0, -(-height // _TILE), -(-width // _TILE))]
+    while levels[-1][_ROWS] > 1 or levels[-1][_COLUMNS] > 1:
+        first, h, w = levels[-1]
+        levels.append((first + h * w, (h + 1) // 2, (w + 1) // 2))
+    packed = np.empty(height * width, np.uint64)
+    pyramid = DepthPyramid(largest=np.empty(levels[-1][_FIRST] + 1, np.float32), levels=np.array(levels))
+    _pack(depth, colour, f32(near_m), pyramid, packed)
+    return packed, pyramid
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _pack(depth, colour, near, pyramid, packed):
+    """See ``packed_image``."""
+    largest, levels = pyramid.largest, pyramid.levels
+    height, width = depth.shape
+    h, w = levels[0, _ROWS], levels[0, _COLUMNS]
+    flat_depth, has_bytes = depth.reshape(-1), len(colour) > 0
+    for i in prange(h):
+        column = np.full(w * _TILE + 16, MISSING, np.float32)
+        missing, zero, nearest, infinite = splat(MISSING), splat(_ZERO), splat(near), splat(_INFINITE)
+        for y in range(i * _TILE, min(height, i * _TILE + _TILE)):
+            for x in range(0, width - 15, 16):
+                at = y * width + x
+                d = load(flat_depth, at)
+                d = select((d > zero) & (d >= nearest) & (d < infinite), d, missing)
+                store(column, x, maximum(load(column, x), d))
+                store_pairs(packed, at, d, byte_triples(colour, 3 * at) if has_bytes else splat_int(int32(0)))
+            for x in range(width - width % 16, width):
+                d = depth[y, x]
+                d = d if (d > _ZERO) & (d >= near) & (d < _INFINITE) else MISSING
+                column[x] = max(column[x], d)
+                at, word = y * width + x, uint32(0)
+                if has_bytes:
+                    for c in range(3):
+                        word |= uint32(colour[3 * at + c]) << uint32(8 * c)
+                packed[at] = uint64(float_bits(d)) | uint64(word) << uint64(32)
+        for j in range(w):
+            most = MISSING
+            for x in range(j * _TILE, j * _TILE + _TILE):
+                most = max(most, column[x])
+            largest[i * w + j] = most
+    for k in range(1, levels.shape[0]):
+        below, fine_h, fine_w = levels[k - 1, _FIRST], levels[k - 1, _ROWS], levels[k - 1, _COLUMNS]
+        for i in range(levels[k, _ROWS]):
+            for j in range(levels[k, _COLUMNS]):
+                most = MISSING
+                for y in range(2 * i, min(2 * i + 2, fine_h)):
+                    for x in range(2 * j, min(2 * j + 2, fine_w)):
+                        most = max(most, largest[below + y * fine_w + x])
+                largest[levels[k, _FIRST] + i * levels[k, _COLUMNS] + j] = most
+
+
+@njit(cache=True, error_model="numpy")
+def farthest(largest, levels, box, width, height):
+    """Largest known depth in a box of pixels."""
+    low_u, high_u, low_v, high_v = box
+    u0, u1 = int(max(low_u, 0.0)), int(min(high_u, width - 1.0))
+    v0, v1 = int(max(low_v, 0.0)), int(min(high_v, height - 1.0))
+    level, tile = 0, _TILE
+    while level < levels.shape[0] - 1 and max(u1 // tile - u0 // tile, v1 // tile - v0 // tile) >= _SCAN:
+        level, tile = level + 1, tile * 2
+    first, columns = levels[level, _FIRST], levels[level, _COLUMNS]
+    most = MISSING
+    for i in range(v0 // tile, v1 // tile + 1):
+        for j in range(u0 // tile, u1 // tile + 1):
+            most = max(most, largest[first + i * columns + j])
+    return most
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def find_observable(coords, M, axis_z, limits, size, pyramid, seen):
+    """Set ``seen`` for the blocks with a voxel that may be observed: in view, not beyond ``far_m``, not hidden.
+
+    M [3, 4]: homogeneous pixel coordinates (U, V, Z) of a world point. axis_z: third row of T_CW.
+    """
+    B = coords.shape[0]
+    height, width = size
+    far, truncation = limits.far, limits.truncation
+    largest, levels = pyramid.largest, pyramid.levels
+    side = BLOCK_VOXELS * limits.voxel_size
+    half_z = 0.5 * side * (abs(axis_z[0]) + abs(axis_z[1]) + abs(axis_z[2]))
+    radius = 0.5 * side * np.sqrt(3.0)
+    # |fx axis_x + (cx - edge) axis_z| for the two edges of the picture along u, and the same along v
+    normal_u, normal_v = 0.0, 0.0
+    for edge in (0.0, 1.0):
+        u2, v2 = 0.0, 0.0
+        for k in range(3):
+            u2 += (M[0, k] - edge * (width + 2) * M[2, k]) ** 2
+            v2 += (M[1, k] - edge * (height + 2) * M[2, k]) ** 2
+        normal_u, normal_v = max(normal_u, radius * np.sqrt(u2)), max(normal_v, radius * np.sqrt(v2))
+    chunk = 256
+    for part in prange((B + chunk - 1) // chunk):
+        for i in range(part * chunk, min(B, part * chunk + chunk)):
+            x, y, z = side * (coords[i, 0] + 0.5), side * (coords[i, 1] + 0.5), side * (coords[i, 2] + 0.5)
+            Z = M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3]
+            if Z + half_z <= 0.0 or Z - half_z >= far + truncation:
+                continue
+            U = M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3]
+            V = M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3]
+            # distances to the four sides of the view, times the lengths of their normals
+            if min(U, (width + 2) * Z - U) < -normal_u or min(V, (height + 2) * Z - V) < -normal_v:
+                continue
+            low_u, low_v, high_u, high_v = 0.0, 0.0, width + 1.0, height + 1.0
+            if Z - half_z > 0.01:
+                low_u, high_u, low_v, high_v = _box_around(M, (U, V, Z), side)
+                if high_u < 1.0 or high_v < 1.0 or low_u > width + 1 or low_v > height + 1:
+                    continue
+            box = (low_u - 1.0, high_u - 1.0, low_v - 1.0, high_v - 1.0)
+            seen[i] = Z - half_z < farthest(largest, levels, box, width, height) + truncation + 1e-5 * Z
+
+
+@njit(cache=True, error_model="numpy")
+def _box_around(M, centre, side):
+    """Smallest and largest u, and v, of the corners of a block in front of the camera."""
+    U, V, Z = centre
+    low_u, low_v, high_u, high_v = 1e9, 1e9, -1e9, -1e9
+    for c in range(8):
+        a = 0.5 * side if c & 1 else -0.5 * side
+        b = 0.5 * side if c & 2 else -0.5 * side
+        d = 0.5 * side if c & 4 else -0.5 * side
+        inv_z = 1.0 / (Z + M[2, 0] * a + M[2, 1] * b + M[2, 2] * d)
+        u = (U + M[0, 0] * a + M[0, 1] * b + M[0, 2] * d) * inv_z
+        v = (V + M[1, 0] * a + M[1, 1] * b + M[1, 2] * d) * inv_z
+        low_u, high_u = min(low_u, u), max(high_u, u)
+        low_v, high_v = min(low_v, v), max(high_v, v)
+    return low_u, high_u, low_v, high_v
 
 
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
@@ -73,12 +265,7 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         max_weight=float(config.max_weight),
         colour_band=float(config.colour_band_voxels * config.voxel_size_m),
     )
-    method = Method(
-        along_ray=config.sdf == "ray",
-        average=_AVERAGES[config.average],
-        weighs_colours=config.weighs_colours,
-        colour_by_distance=config.colour_by_distance,
-    )
+    method = config.sdf == "ray", _AVERAGES[config.average], config.weighs_colours, config.colour_by_distance
     D, W, colours, W_rgb = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes, volume.W_rgb))
     voxels = Voxels(coords=volume.block_coords.numpy(), D=D, W=W, rgb=colours, W_rgb=W_rgb)
     with launching():
@@ -87,8 +274,7 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         find_observable(voxels.coords, K @ T_CW[:3], T_CW[2], limits, depth.shape, pyramid, seen)
         rows = np.flatnonzero(seen).astype(np.int32)
         updated = np.zeros(-(-len(rows) // _CHUNK), np.int64)
-        image, view = Image(packed=packed, rgb=rgb), View(T_CW=T_CW, K=K)
-        _fuse(rows, voxels, image, depth.shape, view, limits, method, updated)
+        _fuse(rows, voxels, (packed, rgb), depth.shape, (T_CW, K), limits, method, updated)
     return int(updated.sum())
 
 
@@ -221,13 +407,16 @@ def _update_colour_weight(W_rgb, at, w, most):
 def _fuse(rows, voxels, image, size, view, limits, method, updated):
     """Update the voxels of the blocks ``rows``; ``updated`` [tasks] takes the numbers of voxels observed.
 
+    image: depth and 8-bit colour of every pixel in one word, and colours that are float32, empty if they are bytes.
+    view: pose [4, 4] and intrinsic matrix [3, 3], float64, with one added to the principal point.
+    method: whether distances are along the ray, how they are averaged, whether colours have weights of their own, and
+    whether these fall with the distance.
+
     A task takes every n-th block, so that tasks cost about the same wherever the hidden blocks are.
     """
     coords, D, W, C, W_rgb = voxels.coords, voxels.D, voxels.W, voxels.rgb, voxels.W_rgb
-    T_CW, K = view.T_CW, view.K
-    packed, rgb = image.packed, image.rgb
-    along_ray, average = method.along_ray, method.average
-    weighs_colours, by_distance = method.weighs_colours, method.colour_by_distance
+    (T_CW, K), (packed, rgb) = view, image
+    along_ray, average, weighs_colours, by_distance = method
     inv_band_width = f32(1.0 / limits.colour_band) if limits.colour_band > 0.0 else _ZERO
     offset = _offsets(T_CW, K, limits.voxel_size)
     height, width = size

@@ -1,13 +1,11 @@
 """Marching cubes in four passes over the blocks: mark edges, count vertices, emit vertices, emit triangles."""
 
-import ctypes
 import functools
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from gsfusion_nb.constants import VOXELS_PER_BLOCK
+from gsfusion_nb.tsdf.block_pool import VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.marching_cubes import triangle_table
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Mesh
@@ -22,35 +20,12 @@ _WORDS = _EDGES // 32
 """Bits of the edges of a block, in words of 32."""
 
 
-class Map(NamedTuple):
-    """Values of the voxels, rows of each block and its upper neighbours, and the least weight of a voxel."""
-
-    D: Tensor
-    W: Tensor
-    neighbour: Tensor
-    min_weight: float
-
-
-class Table(NamedTuple):
-    """Edges of the triangles of every case, and how many triangles; one byte each."""
-
-    triangles: Tensor
-    count: Tensor
-
-
-class Edges(NamedTuple):
-    """Bits of the edges that have a vertex, and the vertices of all earlier words."""
-
-    words: Tensor
-    before: Tensor
-
-
 def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     """See ``gsfusion_nb.tsdf.extract_mesh``. The host waits once, for the size of the mesh."""
-    device = device_of("extract_mesh", volume=volume.D)
+    device = device_of("extract_mesh", volume.D)
     check_dtype("extract_mesh", torch.float32, volume=volume.D)
     B, coords = volume.n_blocks, volume.block_coords
-    field = Map(D=volume.D, W=volume.W, neighbour=_neighbours(volume), min_weight=float(min_weight))
+    field = {"D": volume.D, "W": volume.W, "neighbour": _neighbours(volume), "min_weight": min_weight}
     table = _table(device)
     triangles = torch.zeros(B, dtype=torch.int32, device=device)
     words = torch.zeros(B * _WORDS, dtype=torch.int32, device=device)
@@ -63,7 +38,7 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     vertices, rgb = (torch.empty(V, 3, dtype=torch.float32, device=device) for _ in range(2))
     faces = torch.empty(F, 3, dtype=torch.int64, device=device)
     if F:
-        edges, voxel_size_m = Edges(words=words, before=before), ctypes.c_double(volume.config.voxel_size_m)
+        edges, voxel_size_m = {"words": words, "before": before}, volume.config.voxel_size_m
         launch(
             "extract_mesh", "marching_cubes:emit_vertices", (B, _EDGES // _BLOCK), _BLOCK, field, edges,
             volume.rgb_planes, coords, voxel_size_m, vertices, rgb,
@@ -80,6 +55,6 @@ def _neighbours(volume: TsdfVolume) -> Tensor:
 
 
 @functools.cache
-def _table(device: torch.device) -> Table:
+def _table(device: torch.device) -> dict[str, Tensor]:
     triangles, count = (numbers.to(device, torch.int8).contiguous() for numbers in triangle_table())
-    return Table(triangles=triangles, count=count)
+    return {"triangles": triangles, "count": count}

@@ -4,6 +4,7 @@ Cases of ``match_features`` and ``found_near``: noisy copies of descriptors, loo
 beside the image and behind the camera; narrow and wide searches; empty sides.
 """
 
+import functools
 from collections.abc import Iterator
 
 import numpy as np
@@ -20,15 +21,11 @@ from ..runtime.cases import Case, make_frame
 def cases() -> Iterator[Case]:
     """Views with many features, with one, and with none."""
     for n, m in ((150, 200), (1, 1), (0, 5), (5, 0)):
-
-        def run(device: torch.device, dtype: torch.dtype, n: int = n, m: int = m) -> dict[str, Tensor]:
-            return _pairs(n, m)
-
-        operations = ("match_features", "found_near")
+        run, operations = functools.partial(_pairs, n, m), ("match_features", "found_near")
         yield Case(name=f"{n} and {m}", operations=operations, run=run, dtypes=(torch.float32,), tolerance=0.0)
 
 
-def _pairs(n: int, m: int) -> dict[str, Tensor]:
+def _pairs(n: int, m: int, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
     g, camera = torch.Generator().manual_seed(0), make_frame().camera
     xyz_W = torch.rand(n, 3, generator=g, dtype=torch.float64) * 3 + torch.tensor([-1.5, -1.5, 1.0])
     xyz_W[::7, 2] *= -1

@@ -8,8 +8,6 @@ near a pixel may match, they are sorted into square cells as wide as the search,
 # Arrays are passed on as tuples, which pyright cannot follow:
 # pyright: reportCallIssue=false
 
-from typing import NamedTuple
-
 import numpy as np
 import torch
 from numba import njit
@@ -26,23 +24,6 @@ _FARTHEST = 257
 """More than two descriptors can differ."""
 
 
-class Points(NamedTuple):
-    """Positions, world frame [N, 3]; descriptors [N, 4]."""
-
-    xyz_W: np.ndarray
-    words: np.ndarray
-
-
-class View(NamedTuple):
-    """Features: pixels [M, 2], float64; descriptors [M, 4]. Pose [4, 4]. Width and height of the image."""
-
-    uv: np.ndarray
-    words: np.ndarray
-    T_WC: np.ndarray
-    width: int
-    height: int
-
-
 def match_features(query: Features, reference: Features) -> Tensor:
     """See ``gsfusion_nb.tracking.matching.match_features``."""
     pairs = _match_all(_words(query.descriptors.numpy()), _words(reference.descriptors.numpy()))
@@ -53,15 +34,10 @@ def found_near(
     camera: Camera, xyz_W: np.ndarray, descriptors: np.ndarray, features: Features, T_WC: Tensor, radius_px: float
 ) -> np.ndarray:
     """See ``gsfusion_nb.tracking.matching.found_near``."""
-    points = Points(xyz_W=np.ascontiguousarray(xyz_W), words=_words(descriptors))
-    view = View(
-        uv=features.uv.numpy().astype(np.float64),
-        words=_words(features.descriptors.numpy()),
-        T_WC=T_WC.detach().cpu().double().contiguous().numpy(),
-        width=int(camera.width),
-        height=int(camera.height),
-    )
-    return _match_near(points, view, lens_of(camera), float(radius_px))
+    points = np.ascontiguousarray(xyz_W), _words(descriptors)
+    seen = features.uv.numpy().astype(np.float64), _words(features.descriptors.numpy())
+    pose, size = T_WC.detach().cpu().double().contiguous().numpy(), (int(camera.width), int(camera.height))
+    return _match_near(points, seen, pose, lens_of(camera), size, float(radius_px))
 
 
 def _words(descriptors: np.ndarray) -> np.ndarray:
@@ -115,25 +91,29 @@ def _cells(uv, radius_px, columns, rows):
 
 
 @njit(cache=True, error_model="numpy")
-def _match_near(points, view, lens, radius_px):
-    """(feature, point) of the matches [P, 2], in the order of the features."""
-    n, m, T = points.xyz_W.shape[0], view.uv.shape[0], view.T_WC
-    columns, rows = int(view.width / radius_px) + 1, int(view.height / radius_px) + 1
-    start, order = _cells(view.uv, radius_px, columns, rows)
+def _match_near(points, seen, T, lens, size, radius_px):
+    """(feature, point) of the matches [P, 2], in the order of the features.
+
+    points: positions, world frame [N, 3]; descriptors [N, 4]. seen: pixels [M, 2] and descriptors [M, 4]. T: pose T_WC.
+    """
+    (xyz_W, words), (uv, w), (width, height) = points, seen, size
+    n, m = xyz_W.shape[0], uv.shape[0]
+    columns, rows = int(width / radius_px) + 1, int(height / radius_px) + 1
+    start, order = _cells(uv, radius_px, columns, rows)
     nearest_of_feature, point_of_feature = np.full(m, _FARTHEST), np.full(m, -1)
     best_of_point, distance_of_point = np.full(n, -1), np.empty(n, np.int64)
     for p in range(n):
-        d0, d1, d2 = points.xyz_W[p, 0] - T[0, 3], points.xyz_W[p, 1] - T[1, 3], points.xyz_W[p, 2] - T[2, 3]
+        d0, d1, d2 = xyz_W[p, 0] - T[0, 3], xyz_W[p, 1] - T[1, 3], xyz_W[p, 2] - T[2, 3]
         z = d0 * T[0, 2] + d1 * T[1, 2] + d2 * T[2, 2]
         if not z > SEARCHED_FROM_M:
             continue
         u = lens.fx * (d0 * T[0, 0] + d1 * T[1, 0] + d2 * T[2, 0]) / z + lens.cx
         v = lens.fy * (d0 * T[0, 1] + d1 * T[1, 1] + d2 * T[2, 1]) / z + lens.cy
-        if not (abs(u - 0.5 * view.width) <= 0.5 * view.width + radius_px):
+        if not (abs(u - 0.5 * width) <= 0.5 * width + radius_px):
             continue
-        if not (abs(v - 0.5 * view.height) <= 0.5 * view.height + radius_px):
+        if not (abs(v - 0.5 * height) <= 0.5 * height + radius_px):
             continue
-        a0, a1, a2, a3 = points.words[p, 0], points.words[p, 1], points.words[p, 2], points.words[p, 3]
+        a0, a1, a2, a3 = words[p, 0], words[p, 1], words[p, 2], words[p, 3]
         column, row = int(np.floor(u / radius_px)), int(np.floor(v / radius_px))
         best, first, second = -1, _FARTHEST, _FARTHEST
         for r in range(max(row - 1, 0), min(row + 2, rows)):
@@ -142,10 +122,9 @@ def _match_near(points, view, lens, radius_px):
                 continue
             for k in range(start[begin], start[end]):
                 f = order[k]
-                x, y = view.uv[f, 0] - u, view.uv[f, 1] - v
+                x, y = uv[f, 0] - u, uv[f, 1] - v
                 if not x * x + y * y <= radius_px * radius_px:
                     continue
-                w = view.words
                 distance = popcount(a0 ^ w[f, 0]) + popcount(a1 ^ w[f, 1])
                 distance += popcount(a2 ^ w[f, 2]) + popcount(a3 ^ w[f, 3])
                 nearest_of_feature[f] = min(nearest_of_feature[f], distance)

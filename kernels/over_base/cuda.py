@@ -5,7 +5,7 @@ added up by atomics, in an order that changes from run to run: they repeat to ro
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,38 +15,11 @@ from gsfusion_nb.render.over_base import Base, OverBaseOutput
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..binning.cuda import TileLists, list_tiles
-from ..composite.layout import Work
-from ..project.cuda import centre_vjp, project_rows, project_rows_vjp
-from ..project.layout import SPLAT
-from ..runtime.arguments import as_bytes, check_dtype, packed
+from ..project.cuda import gradients_of, project_rows
+from ..runtime.arguments import check_dtype, packed
 from ..runtime.cuda.launch import device_of, launch
 
 _BLOCK = 128
-
-
-class Surface(NamedTuple):
-    """The base, and how far behind it Gaussians are drawn, metres."""
-
-    rgb: Tensor
-    depth: Tensor
-    weight: Tensor
-    behind: float
-
-
-class Blended(NamedTuple):
-    """What is to be written."""
-
-    rgb: Tensor
-    depth: Tensor
-    weight: Tensor
-
-
-class Seen(NamedTuple):
-    """A picture and dL/d of its colour."""
-
-    rgb: Tensor
-    weight: Tensor
-    v_rgb: Tensor
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,13 +36,15 @@ class CudaOverBase(Record):
     depth: Tensor
     """Of the splats, infinite for those that are not drawn."""
     lists: TileLists
-    surface: Surface
-    image: Blended
+    surface: dict[str, Any]
+    """The base, and how far behind it Gaussians are drawn."""
+    image: dict[str, Tensor]
+    """What was drawn."""
 
     @property
-    def work(self) -> Work:
+    def work(self) -> dict[str, Any]:
         """What the kernels are given of the Gaussians."""
-        return Work.of(self.splats, self.lists, self.camera, pixels=None)
+        return self.lists.work(self.splats, self.camera, pixels=None)
 
 
 def render_over_base(
@@ -81,11 +56,12 @@ def render_over_base(
         ValueError: tensors on several devices or of several types.
     """
     name = "render_over_base"
-    device = device_of(name, **vars(params), **vars(base))
+    device = device_of(name, params.xyz_W)
     check_dtype(name, torch.float32, **vars(params), **vars(base))
     pose = packed(T_WC.to(device, torch.float32))
     splats, depth = project_rows(params, camera, pose)
-    image = Blended(*(torch.empty_like(packed(x)) for x in (base.rgb, base.depth_m, base.weight)))
+    surface = {"rgb": packed(base.rgb), "depth": packed(base.depth_m), "weight": packed(base.weight)}
+    image = {name: torch.empty_like(x) for name, x in surface.items()}
     saved = CudaOverBase(
         params=params,
         camera=camera,
@@ -95,11 +71,11 @@ def render_over_base(
         splats=splats,
         depth=depth,
         lists=list_tiles(splats, depth, camera, None, by_depth=False),
-        surface=Surface(packed(base.rgb), packed(base.depth_m), packed(base.weight), float(behind_m)),
+        surface=surface | {"behind": behind_m},
         image=image,
     )
     launch(name, "over_base:over_base_forward", saved.lists.n_tiles, _BLOCK, saved.work, saved.surface, image)
-    return OverBaseOutput(rgb=image.rgb, depth_m=image.depth, weight=image.weight), saved
+    return OverBaseOutput(rgb=image["rgb"], depth_m=image["depth"], weight=image["weight"]), saved
 
 
 def render_over_base_vjp(
@@ -115,17 +91,10 @@ def render_over_base_vjp(
     Raises:
         ValueError: tensors on several devices.
     """
-    name, kernel, tiles = "render_over_base_vjp", "over_base:over_base_backward", saved.lists.n_tiles
-    device = device_of(name, picture=saved.splats, rows=rows, v_rgb=v_rgb)
-    seen = Seen(rgb=saved.image.rgb, weight=saved.image.weight, v_rgb=packed(v_rgb.float()))
-    trained = as_bytes(rows)
-    sums = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
-    if v_uv_abs is None:
-        launch(name, kernel, tiles, _BLOCK, saved.work, saved.surface, seen, trained, sums)
-    else:
-        abs_sums = torch.zeros(len(saved.splats), 2, dtype=torch.float32, device=device)
-        launch(name, f"{kernel}_abs", tiles, _BLOCK, saved.work, saved.surface, seen, trained, sums, abs_sums)
-        v_uv_abs.copy_(abs_sums)
-    if v_uv is not None:
-        centre_vjp(saved.splats, saved.depth, sums, rows, v_uv)
-    return project_rows_vjp(saved.params, saved.camera, saved.T_WC, saved.splats, saved.depth, sums, trained)
+    name = "render_over_base_vjp"
+    device_of(name, v_rgb)
+    given, centres = (
+        (saved.surface, saved.image | {"v_rgb": packed(v_rgb.float())}),
+        {"v_uv": v_uv, "v_uv_abs": v_uv_abs},
+    )
+    return gradients_of(name, "over_base:over_base_backward", saved, *given, rows=rows, **centres)

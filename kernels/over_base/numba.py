@@ -1,34 +1,301 @@
-"""``render_over_base`` and its gradient from the fused kernels: what ``gsfusion_nb.backends`` offers for CPU tensors.
+"""``render_over_base`` and its gradient, what ``gsfusion_nb.backends`` offers for CPU tensors.
 
-Project and colour every row, then sum up; nothing is sorted. The gradient takes one splat after another, and its sums
-go through the gradient of the projection, as in ``rasterize``. float64 runs on the reference.
+Project and colour every row, then sum up over bands of image rows, sixteen pixels a vector; nothing is sorted. A plane
+holds one number for each pixel, row by row. Its rows are a vector longer than the image's, so that sixteen lanes may
+begin at any pixel.
+
+What a pixel gives to every splat over it are four numbers, q and -q . C, so the gradient finishes one splat after
+another, whatever its place among the others. Its sums go through the gradient of the projection, as in ``rasterize``.
+float64 runs on the reference.
 """
 
+# Intrinsics are called without their typing context, which pyright cannot follow:
+# pyright: reportCallIssue=false, reportGeneralTypeIssues=false
+
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numba import njit, prange
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
-from gsfusion_nb.geometry import se3
 from gsfusion_nb.render.over_base import Base, OverBaseOutput
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..binning.numba import tile_windows
-from ..composite.layout import PAIR_SUMS
-from ..project.geometry import centre_vjp, row_sums
-from ..project.layout import SPLAT, Params, pack_camera
-from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
-from ..project.vjp import project_rows_vjp
+from ..composite.layout import (
+    PAIR_SUMS,
+    SUM_BLUE,
+    SUM_DEPTH,
+    SUM_G,
+    SUM_GREEN,
+    SUM_GX,
+    SUM_GXX,
+    SUM_GXY,
+    SUM_GY,
+    SUM_GYY,
+    SUM_RED,
+)
+from ..composite.numba import CEILING, HALF, ONE, ZERO, across, alpha_of, row_exponent, zeros
+from ..project.layout import (
+    BLUE,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    DEPTH,
+    EXTENT_U,
+    EXTENT_V,
+    GREEN,
+    RED,
+    U,
+    V,
+    pack_camera,
+)
+from ..project.numba import gradients_of, project
 from ..runtime.numba.launch import launching, scratch
-from .backward import PLANES, gradient_planes, splat_sums
-from .forward import Blended, Surface, blend_bands, list_bands, stride_of
+from ..runtime.numba.scalars import cyclic_size, cyclic_task
+from ..runtime.numba.simd import LANES, any_lane, exp, load, minimum, negative_abs, reduce_add, select, splat, store
+
+f32 = np.float32
+_INFINITE = f32(np.inf)
+
+BAND = 8
+"""Rows of a band."""
+
+
+class BandLists(NamedTuple):
+    """The splats that touch each band: band b has ``ids[offset[b] : offset[b + 1]]``, in the order of the map."""
+
+    ids: np.ndarray
+    offset: np.ndarray
+
+
+class Surface(NamedTuple):
+    """The base: colour [H, W, 3], depth and weight [H, W]. float32"""
+
+    rgb: np.ndarray
+    depth: np.ndarray
+    weight: np.ndarray
+
+
+class Blended(NamedTuple):
+    """What is made of it: colour [H, W, 3], depth [H, W] and the sum of weights [H, W]. float32"""
+
+    rgb: np.ndarray
+    depth: np.ndarray
+    weight: np.ndarray
+
+
+@njit(inline="always", cache=True)
+def stride_of(width):
+    """Length of a row of a plane."""
+    return (width + 2 * LANES - 1) // LANES * LANES
+
+
+@njit(inline="always")
+def row_range(s, y0, y1):
+    """Rows from ``y0`` to before ``y1`` that splat ``s`` reaches: the first, and the one behind the last."""
+    return max(y0, int(np.ceil(s[V] - s[EXTENT_V] - HALF))), min(y1, int(np.floor(s[V] + s[EXTENT_V] - HALF)) + 1)
+
+
+@njit(inline="always")
+def column_range(s, width):
+    """The same for columns of the image."""
+    return max(0, int(np.ceil(s[U] - s[EXTENT_U] - HALF))), min(width, int(np.floor(s[U] + s[EXTENT_U] - HALF)) + 1)
+
+
+@njit(cache=True, error_model="numpy")
+def list_bands(splats, start, height):
+    """The splats of each band; row i is drawn where ``start[i] < start[i + 1]``."""
+    n_bands = (height + BAND - 1) // BAND
+    offset = np.zeros(n_bands + 1, np.int32)
+    for i in range(splats.shape[0]):
+        if start[i] < start[i + 1]:
+            first, end = row_range(splats[i], 0, height)
+            for band in range(first // BAND, (end + BAND - 1) // BAND):
+                offset[band + 1] += 1
+    for band in range(n_bands):
+        offset[band + 1] += offset[band]
+    ids, cursor = np.empty(offset[n_bands], np.int32), offset[:-1].copy()
+    for i in range(splats.shape[0]):
+        if start[i] < start[i + 1]:
+            first, end = row_range(splats[i], 0, height)
+            for band in range(first // BAND, (end + BAND - 1) // BAND):
+                ids[cursor[band]] = i
+                cursor[band] += 1
+    return BandLists(ids, offset)
+
+
+_RED, _GREEN, _BLUE, _WEIGHT, _LIMIT, _DEPTH = range(6)
+"""Planes of a band: sums of w c and of w, the depth behind which a splat is hidden, and the sum of w z."""
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def blend_bands(splats, lists, base, behind, image):
+    """Fill ``image`` from the splats and the base. behind: of the surface, where splats are hidden, metres."""
+    n_bands = lists.offset.shape[0] - 1
+    for k_band in prange(cyclic_size(n_bands)):
+        band = cyclic_task(k_band, n_bands)
+        if band < n_bands:
+            _blend_band(band, splats, lists, base, behind, image)
+
+
+@njit(cache=True, error_model="numpy")
+def _blend_band(band, splats, lists, base, behind, image):
+    """Fill the rows of one band."""
+    height, width = image.weight.shape
+    stride = stride_of(width)
+    plane, y0, y1 = BAND * stride, band * BAND, min(height, band * BAND + BAND)
+    state = zeros(6 * plane)
+    for y in range(y0, y1):
+        at = _LIMIT * plane + (y - y0) * stride
+        for x in range(width):
+            D = base.depth[y, x]
+            state[at + x] = D + behind if D > ZERO else _INFINITE
+    for k in range(lists.offset[band], lists.offset[band + 1]):
+        _add(state, splats[lists.ids[k]], (y0, y1, width), (plane, stride))
+    for y in range(y0, y1):
+        _write_row(state, (y - y0) * stride, plane, y, base, image)
+
+
+@njit(inline="always")
+def _add(state, s, place, layout):
+    """Add the weights of a splat, times its colour and depth, to the planes of the band at ``place``."""
+    y0, y1, width = place
+    plane, stride = layout
+    first, end = row_range(s, y0, y1)
+    left, right = column_range(s, width)
+    red, green, blue, z = splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH])
+    for x in range(left, right, LANES):
+        _, q0, q1 = across(s, x)
+        for y in range(first, end):
+            log_alpha, seen = row_exponent(s, q0, q1, f32(y) + HALF - s[V])
+            o = (y - y0) * stride + x
+            seen = seen & (load(state, _LIMIT * plane + o) >= z)
+            if not any_lane(seen):
+                continue
+            w = alpha_of(log_alpha, seen)
+            store(state, o, load(state, o) + w * red)
+            store(state, _GREEN * plane + o, load(state, _GREEN * plane + o) + w * green)
+            store(state, _BLUE * plane + o, load(state, _BLUE * plane + o) + w * blue)
+            store(state, _WEIGHT * plane + o, load(state, _WEIGHT * plane + o) + w)
+            store(state, _DEPTH * plane + o, load(state, _DEPTH * plane + o) + w * z)
+
+
+@njit(cache=True, error_model="numpy")
+def _write_row(state, o, plane, y, base, image):
+    """One row of the picture from the sums that begin at ``o``."""
+    for x in range(image.weight.shape[1]):
+        W, b, D = state[_WEIGHT * plane + o + x], base.weight[y, x], base.depth[y, x]
+        image.weight[y, x] = W
+        total = ONE / (b + W) if b + W > ZERO else ZERO
+        image.rgb[y, x, 0] = (b * base.rgb[y, x, 0] + state[o + x]) * total
+        image.rgb[y, x, 1] = (b * base.rgb[y, x, 1] + state[_GREEN * plane + o + x]) * total
+        image.rgb[y, x, 2] = (b * base.rgb[y, x, 2] + state[_BLUE * plane + o + x]) * total
+        there = ONE if D > ZERO else ZERO
+        total = ONE / (there + W) if there + W > ZERO else ZERO
+        image.depth[y, x] = ((D if D > ZERO else ZERO) + state[_DEPTH * plane + o + x]) * total
+
+
+Q_RED, Q_GREEN, Q_BLUE, MINUS_QC, LIMIT = range(5)
+"""Planes: dL/d of the sum of w c, minus its product with the picture, and where splats are hidden."""
+PLANES = 5
+
+_CHUNK = 64
+"""Splats that one thread takes at a time."""
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def gradient_planes(image, base, behind, v_rgb, planes):
+    """Fill ``planes`` [PLANES, H, stride]; zero beyond the image."""
+    height, width = image.weight.shape
+    for y in prange(height):
+        planes[:, y, width:] = ZERO
+        for x in range(width):
+            total, D = base.weight[y, x] + image.weight[y, x], base.depth[y, x]
+            per = ONE / total if total > ZERO else ZERO
+            red, green, blue = v_rgb[y, x, 0] * per, v_rgb[y, x, 1] * per, v_rgb[y, x, 2] * per
+            planes[Q_RED, y, x], planes[Q_GREEN, y, x], planes[Q_BLUE, y, x] = red, green, blue
+            qC = red * image.rgb[y, x, 0] + green * image.rgb[y, x, 1] + blue * image.rgb[y, x, 2]
+            planes[MINUS_QC, y, x] = -qC
+            planes[LIMIT, y, x] = D + behind if D > ZERO else _INFINITE
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def splat_sums(splats, drawn, trained, planes, size, sums, abs_sums):
+    """Write the sums of each drawn splat to its row of ``sums`` [M, PAIR_SUMS].
+
+    drawn: the rows of the map that are drawn. trained: bool [N], or [0] for all; the sums of others are not written.
+    planes: one after another, flat. abs_sums: [M, 2], for the sums of |dL/du| and |dL/dv|, or None.
+    """
+    height, width = size
+    all_trained = trained.shape[0] == 0
+    M = drawn.shape[0]
+    n_parts = (M + _CHUNK - 1) // _CHUNK
+    for k_part in prange(cyclic_size(n_parts)):
+        part = cyclic_task(k_part, n_parts)
+        if part >= n_parts:
+            continue
+        for m in range(part * _CHUNK, min(M, part * _CHUNK + _CHUNK)):
+            if all_trained or trained[drawn[m]]:
+                sums[m] = ZERO
+                if abs_sums is not None:
+                    abs_sums[m] = ZERO
+                _add_up(splats[drawn[m]], planes, height, width, sums[m], abs_sums, m)
+
+
+@njit(inline="always")
+def _add_up(s, planes, height, width, out, abs_sums, m):
+    """Add the sums over the pixels of a splat to ``out`` and to row ``m`` of ``abs_sums``."""
+    first, end = row_range(s, 0, height)
+    left, right = column_range(s, width)
+    stride = stride_of(width)
+    plane = height * stride
+    red, green, blue, z = splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH])
+    zero = splat(ZERO)
+    for x in range(left, right, LANES):
+        dx, q0, q1 = across(s, x)
+        sum_g, sum_gy, sum_gyy, sum_r, sum_gr, sum_b = zero, zero, zero, zero, zero, zero
+        minus_u, minus_v = zero, zero
+        for y in range(first, end):
+            dy = f32(y) + HALF - s[V]
+            log_alpha, seen = row_exponent(s, q0, q1, dy)
+            o = y * stride + x
+            seen = seen & (load(planes, LIMIT * plane + o) >= z)
+            if not any_lane(seen):
+                continue
+            raw = exp(log_alpha)
+            w = select(seen, minimum(raw, splat(CEILING)), zero)
+            q_r, q_g = load(planes, o), load(planes, Q_GREEN * plane + o)
+            q_b = load(planes, Q_BLUE * plane + o)
+            v_w = red * q_r + green * q_g + blue * q_b + load(planes, MINUS_QC * plane + o)
+            g = select(seen & (raw < splat(CEILING)), v_w * w, zero)
+            gy = g * splat(dy)
+            sum_g, sum_gy, sum_gyy = sum_g + g, sum_gy + gy, sum_gyy + gy * splat(dy)
+            sum_r, sum_gr, sum_b = sum_r + w * q_r, sum_gr + w * q_g, sum_b + w * q_b
+            if abs_sums is not None:
+                minus_u = minus_u + negative_abs(g * (splat(s[CONIC_A]) * dx + splat(s[CONIC_B] * dy)))
+                minus_v = minus_v + negative_abs(g * (splat(s[CONIC_B]) * dx + splat(s[CONIC_C] * dy)))
+        gx = sum_g * dx
+        out[SUM_GX] += reduce_add(gx)
+        out[SUM_GY] += reduce_add(sum_gy)
+        out[SUM_GXX] += reduce_add(gx * dx)
+        out[SUM_GXY] += reduce_add(sum_gy * dx)
+        out[SUM_GYY] += reduce_add(sum_gyy)
+        out[SUM_G] += reduce_add(sum_g)
+        out[SUM_RED] += reduce_add(sum_r)
+        out[SUM_GREEN] += reduce_add(sum_gr)
+        out[SUM_BLUE] += reduce_add(sum_b)
+        if abs_sums is not None:
+            abs_sums[m, 0] -= reduce_add(minus_u)
+            abs_sums[m, 1] -= reduce_add(minus_v)
+    out[SUM_DEPTH] = ZERO
+
 
 _ALL_PIXELS = np.empty((0, 0), np.bool_)
 _ALL_ROWS = np.empty(0, np.bool_)
-_NAMES = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,27 +318,17 @@ def render_over_base(
     params: GaussianParams, camera: Camera, T_WC: Tensor, base: Base, *, behind_m: float
 ) -> tuple[OverBaseOutput, Any]:
     """See ``gsfusion_nb.render.render_over_base``."""
-    T = T_WC.detach().double()
-    cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
+    cam = pack_camera(camera, T_WC)
     N, H, W = len(params), camera.height, camera.width
-    splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
     rgb, depth_m, weight = (torch.empty(H, W, *n) for n in ((3,), (), ()))
     image = Blended(rgb.numpy(), depth_m.numpy(), weight.numpy())
     with launching():
-        noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
-        project_rows(_arrays(params), cam, tile_windows(_ALL_PIXELS, W, H), splats, count, noted)
+        splats, count, _ = project(params, cam, tile_windows(_ALL_PIXELS, W, H))
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count > 0, out=start[1:])
         blend_bands(splats, list_bands(splats, start, H), _surface(base), np.float32(behind_m), image)
     saved = NumbaSaved(
-        params=params,
-        camera=camera,
-        base=base,
-        behind_m=behind_m,
-        lens=cam,
-        splats=splats,
-        start=start,
-        image=image,
+        params=params, camera=camera, base=base, behind_m=behind_m, lens=cam, splats=splats, start=start, image=image
     )
     return OverBaseOutput(rgb=rgb, depth_m=depth_m, weight=weight), saved
 
@@ -86,9 +343,6 @@ def render_over_base_vjp(
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_over_base_vjp``."""
     trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
-    out = {
-        name: torch.empty_like(getattr(saved.params, name), memory_format=torch.contiguous_format) for name in _NAMES
-    }
     H, W = saved.image.weight.shape
     drawn, stride = np.flatnonzero(np.diff(saved.start)).astype(np.int32), stride_of(W)
     with launching():
@@ -99,21 +353,7 @@ def render_over_base_vjp(
         behind = np.float32(saved.behind_m)
         gradient_planes(saved.image, _surface(saved.base), behind, v_image, planes.reshape(PLANES, H, stride))
         splat_sums(saved.splats, drawn, trained, planes, (H, W), sums, abs_sums)
-        results = Params(*(out[name].numpy() for name in _NAMES))
-        project_rows_vjp(_arrays(saved.params), saved.lens, saved.splats, saved.start, trained, sums, results)
-        if v_uv is not None:
-            packed = v_uv.contiguous()
-            centre_vjp(saved.splats, saved.start, trained, sums, packed.numpy())
-            v_uv.copy_(packed)
-        if v_uv_abs is not None:
-            packed = v_uv_abs.contiguous()
-            row_sums(saved.start, trained, abs_sums, packed.numpy())
-            v_uv_abs.copy_(packed)
-    return GaussianParams(**out)
-
-
-def _arrays(params: GaussianParams) -> Params:
-    return Params(*(getattr(params, name).detach().contiguous().numpy() for name in _NAMES))
+        return gradients_of(saved, trained, sums, abs_sums, v_uv, v_uv_abs)
 
 
 def _surface(base: Base) -> Surface:

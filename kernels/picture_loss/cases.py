@@ -3,6 +3,7 @@
 Cases of ``l1_mse_vjp`` and ``l2_mse_vjp``: colours beyond 0..1, and some that are equal.
 """
 
+import functools
 from collections.abc import Iterator
 
 import torch
@@ -15,11 +16,12 @@ from ..runtime.cases import Case
 
 def cases() -> Iterator[Case]:
     """One for each layout of the picture."""
-    yield Case(name="rows of pixels", operations=("l1_mse_vjp", "l2_mse_vjp"), run=_run)
-    yield Case(name="planes of channels", operations=("l1_mse_vjp", "l2_mse_vjp"), run=_run_on_planes)
+    for name, planes in (("rows of pixels", False), ("planes of channels", True)):
+        run = functools.partial(_run, planes)
+        yield Case(name=name, operations=("l1_mse_vjp", "l2_mse_vjp"), run=run)
 
 
-def _run(device: torch.device, dtype: torch.dtype, planes: bool = False) -> dict[str, Tensor]:
+def _run(planes: bool, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
     results = {}
     for height, width in ((1, 1), (37, 53), (240, 320)):
         g = torch.Generator().manual_seed(0)
@@ -31,7 +33,3 @@ def _run(device: torch.device, dtype: torch.dtype, planes: bool = False) -> dict
             found = loss(rgb.to(device, dtype), target.to(device, dtype))
             results |= {f"{loss.__name__}, {name} {height}x{width}": value for name, value in vars(found).items()}
     return results
-
-
-def _run_on_planes(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
-    return _run(device, dtype, planes=True)

@@ -5,7 +5,8 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.optim import losses as reference
+from gsfusion_nb.backends import load
+from gsfusion_nb.optim.losses import PictureLoss
 
 from ..runtime.numba.launch import launching
 
@@ -14,31 +15,25 @@ _VALUE, _SQUARE = range(2)
 """Columns of the sums of a row: |C - C^| or (C - C^)^2, and (clamp C^ - C)^2."""
 
 
-def l1_mse_vjp(rgb: Tensor, target: Tensor) -> reference.PictureLoss:
+def l1_mse_vjp(rgb: Tensor, target: Tensor) -> PictureLoss:
     """See ``gsfusion_nb.optim.l1_mse_vjp``."""
-    if not _fits(rgb, target):
-        return reference.l1_mse_vjp.reference(rgb, target)
-    return _loss(rgb, target, squared=False)
+    return _loss("l1_mse_vjp", rgb, target, squared=False)
 
 
-def l2_mse_vjp(rgb: Tensor, target: Tensor) -> reference.PictureLoss:
+def l2_mse_vjp(rgb: Tensor, target: Tensor) -> PictureLoss:
     """See ``gsfusion_nb.optim.l2_mse_vjp``."""
-    if not _fits(rgb, target):
-        return reference.l2_mse_vjp.reference(rgb, target)
-    return _loss(rgb, target, squared=True)
+    return _loss("l2_mse_vjp", rgb, target, squared=True)
 
 
-def _fits(rgb: Tensor, target: Tensor) -> bool:
-    return rgb.dtype == torch.float32 and target.dtype == torch.float32 and rgb.shape == target.shape
-
-
-def _loss(rgb: Tensor, target: Tensor, *, squared: bool) -> reference.PictureLoss:
+def _loss(name: str, rgb: Tensor, target: Tensor, *, squared: bool) -> PictureLoss:
+    if rgb.dtype != torch.float32:
+        return load(name, "reference")(rgb, target)
     v_rgb = torch.empty(rgb.shape, dtype=torch.float32)
     a, b, v = (t.detach().contiguous().view(len(rgb), -1).numpy() for t in (rgb, target, v_rgb))
     with launching():
         sums = _pass(a, b, v, f32((2 if squared else 1) / max(rgb.numel(), 1)), squared)
     means = torch.from_numpy(sums).div_(rgb.numel()).float()
-    return reference.PictureLoss(value=means[_VALUE], mse=means[_SQUARE], v_rgb=v_rgb)
+    return PictureLoss(value=means[_VALUE], mse=means[_SQUARE], v_rgb=v_rgb)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

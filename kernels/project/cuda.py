@@ -1,6 +1,6 @@
 """Projection and colour of every Gaussian, and their gradient: ``project.cu``."""
 
-from typing import NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -8,34 +8,11 @@ from torch import Tensor
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..composite.layout import SUM_GX, SUM_GY
-from ..runtime.arguments import packed, parts
+from ..runtime.arguments import as_bytes, packed, parts
 from ..runtime.cuda.launch import launch
 from .layout import CONIC_A, CONIC_B, CONIC_C, SPLAT, projection_lens
 
 _BLOCK = 128
-_FIELDS = {"xyz": "xyz_W", "log_scale": "log_scale", "quat": "quat", "logit": "opacity_logit", "sh": "sh"}
-"""Names in the kernels, and those of ``GaussianParams``."""
-
-
-class Params(NamedTuple):
-    """The parameters of a map and the pose T_WC, float32."""
-
-    xyz: Tensor
-    log_scale: Tensor
-    quat: Tensor
-    logit: Tensor
-    sh: Tensor
-    pose: Tensor
-
-
-class Gradients(NamedTuple):
-    """dL/d of the parameters, to be written."""
-
-    xyz: Tensor
-    log_scale: Tensor
-    quat: Tensor
-    logit: Tensor
-    sh: Tensor
 
 
 def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[Tensor, Tensor]:
@@ -43,46 +20,51 @@ def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[
     N, device = len(params), T_WC.device
     splats = torch.empty(N, SPLAT, dtype=torch.float32, device=device)
     depth = torch.empty(N, dtype=torch.float32, device=device)
-    launch(
-        "render_forward", f"project:project_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK,
-        Params(**_arrays(params), pose=T_WC), projection_lens(camera), splats, depth, N, camera.width, camera.height,
-    )  # fmt: skip
+    given, size = (_arrays(params) | {"pose": T_WC}, projection_lens(camera)), (camera.width, camera.height)
+    kernel = f"project:project_{params.sh.shape[1]}"
+    launch("render_forward", kernel, parts(N, _BLOCK), _BLOCK, *given, splats, depth, N, *size)
     return splats, depth
 
 
-def project_rows_vjp(
-    params: GaussianParams,
-    camera: Camera,
-    T_WC: Tensor,
-    splats: Tensor,
-    depth: Tensor,
-    sums: Tensor,
-    trained: Tensor | None,
+def gradients_of(
+    operation: str,
+    kernel: str,
+    saved: Any,
+    *given: dict[str, Any],
+    rows: Tensor | None,
+    v_uv: Tensor | None,
+    v_uv_abs: Tensor | None,
 ) -> GaussianParams:
-    """Gradients of the parameters from the sums of ``composite.cu`` [N, SPLAT]; zero where ``trained`` [N] is 0."""
-    N, arrays = len(params), _arrays(params)
+    """dL/d of the parameters of a drawn map; also fills dL/d of the centres in the image if asked to.
+
+    Args:
+        operation: Named by errors.
+        kernel: Adds up the gradients of the splats over their pixels; another, with ``_abs`` behind its name, adds up
+            the absolute values of those of the centres, too.
+        saved: The record of the picture, whose ``work`` the kernel is given.
+        given: Further structs for it, the last one with dL/d of the picture.
+        rows, v_uv, v_uv_abs: As for ``render_vjp``.
+    """
+    params, splats, depth, trained = saved.params, saved.splats, saved.depth, as_bytes(rows)
+    N, arrays, device = len(params), _arrays(params), splats.device
+    sums, tiles = torch.zeros(N, SPLAT, dtype=torch.float32, device=device), saved.lists.n_tiles
+    if v_uv_abs is None:
+        launch(operation, kernel, tiles, _BLOCK, saved.work, *given, trained, sums)
+    else:
+        abs_sums = torch.zeros(N, 2, dtype=torch.float32, device=device)
+        launch(operation, f"{kernel}_abs", tiles, _BLOCK, saved.work, *given, trained, sums, abs_sums)
+        v_uv_abs.copy_(abs_sums)
+    if v_uv is not None:
+        A, B, C = (splats[:, column] for column in (CONIC_A, CONIC_B, CONIC_C))
+        g_x, g_y = sums[:, SUM_GX], sums[:, SUM_GY]
+        drawn = depth.isfinite() if rows is None else depth.isfinite() & rows
+        v_uv.copy_(torch.where(drawn[:, None], torch.stack([A * g_x + B * g_y, B * g_x + C * g_y], dim=1), 0.0))
     out = {name: torch.empty_like(array) for name, array in arrays.items()}
-    launch(
-        "render_vjp", f"project:project_vjp_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK,
-        Params(**arrays, pose=T_WC), projection_lens(camera), splats, depth, sums, trained, Gradients(**out), N,
-    )  # fmt: skip
-    return GaussianParams(**{field: out[name] for name, field in _FIELDS.items()})
-
-
-def centre_vjp(splats: Tensor, depth: Tensor, sums: Tensor, rows: Tensor | None, v_uv: Tensor) -> None:
-    """Write dL/d of the centres in the image, from the sums of ``composite.cu``; zero for rows that are not drawn."""
-    A, B, C = (splats[:, column] for column in (CONIC_A, CONIC_B, CONIC_C))
-    g_x, g_y = sums[:, SUM_GX], sums[:, SUM_GY]
-    drawn = depth.isfinite() if rows is None else depth.isfinite() & rows
-    v_uv.copy_(torch.where(drawn[:, None], torch.stack([A * g_x + B * g_y, B * g_x + C * g_y], dim=1), 0.0))
+    view, blocks = (arrays | {"pose": saved.T_WC}, projection_lens(saved.camera)), parts(N, _BLOCK)
+    kernel = f"project:project_vjp_{params.sh.shape[1]}"
+    launch(operation, kernel, blocks, _BLOCK, *view, splats, depth, sums, trained, out, N)
+    return GaussianParams(**out)
 
 
 def _arrays(params: GaussianParams) -> dict[str, Tensor]:
-    return {name: packed(getattr(params, field)) for name, field in _FIELDS.items()}
-
-
-def _coefficients(params: GaussianParams) -> int:
-    K = params.sh.shape[1]
-    if K not in (1, 4, 9, 16):
-        raise ValueError(f"sh must be [N, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got {list(params.sh.shape)}")
-    return K
+    return {name: packed(column) for name, column in vars(params).items()}

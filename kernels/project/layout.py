@@ -3,9 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
+from torch import Tensor
 
-from gsfusion_nb.constants import FRUSTUM_CLAMP
-from gsfusion_nb.types import Camera
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.render.constants import FRUSTUM_CLAMP
+from gsfusion_nb.types import Camera, GaussianParams
+
+from ..runtime.arguments import lens_of
 
 COLUMNS = U, V, CONIC_A, CONIC_B, CONIC_C, LN_OPACITY, RED, GREEN, BLUE, DEPTH, EXTENT_U, EXTENT_V = range(12)
 """Centre, pixels; inverse covariance, sigma = (A dx^2 + C dy^2) / 2 + B dx dy; ln(opacity); colour; z, metres; half the
@@ -15,27 +19,13 @@ SPLAT = 12
 """Numbers in a row."""
 
 
-class ProjectionLens(NamedTuple):
+def projection_lens(camera: Camera) -> dict[str, float]:
     """Focal lengths, principal point, and the largest |x / z| and |y / z| at which the projection is linearised."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    limit_x: float
-    limit_y: float
-
-
-def projection_lens(camera: Camera) -> ProjectionLens:
-    """Those of ``camera``."""
-    return ProjectionLens(
-        fx=float(camera.fx),
-        fy=float(camera.fy),
-        cx=float(camera.cx),
-        cy=float(camera.cy),
-        limit_x=FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx,
-        limit_y=FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy,
-    )
+    limits = {
+        "limit_x": FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx,
+        "limit_y": FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy,
+    }
+    return lens_of(camera)._asdict() | limits
 
 
 R00, R01, R02, R10, R11, R12, R20, R21, R22, T0, T1, T2 = range(12)
@@ -53,7 +43,13 @@ class Params(NamedTuple):
     sh: np.ndarray
 
 
-def pack_camera(camera: Camera, T_CW: np.ndarray, centre_W: np.ndarray) -> np.ndarray:
+def arrays_of(params: GaussianParams) -> Params:
+    """The columns of a map as arrays; a copy of those with gaps."""
+    return Params(*(column.detach().contiguous().numpy() for column in vars(params).values()))
+
+
+def pack_camera(camera: Camera, T_WC: Tensor) -> np.ndarray:
     """The camera and its pose as one float32 array, in the order of the constants above."""
-    tail = [*projection_lens(camera), camera.width, camera.height]
-    return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], centre_W, tail]).astype(np.float32)
+    T = T_WC.detach().double()
+    T_CW, tail = se3.inverse(T).numpy(), [*projection_lens(camera).values(), camera.width, camera.height]
+    return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], T[:3, 3].numpy(), tail]).astype(np.float32)

@@ -1,22 +1,44 @@
-"""Projection, colour and tile test of every Gaussian, in one pass over the rows; the gradient is in ``vjp``.
+"""Projection, colour and tile test of every Gaussian, in one pass over the rows, and the gradient, in another.
 
 Formulas and names are those of ``render.project`` and ``geometry.spherical_harmonics`` of gsfusion_nb, unrolled to
 scalars here, so that a row is read once and its intermediate values stay in registers.
 """
 
 import math
+from typing import Any
 
 import numpy as np
+import torch
 from numba import njit, prange
+from torch import Tensor
 
-from gsfusion_nb.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from gsfusion_nb.render.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from gsfusion_nb.types import GaussianParams
 
-from ..composite.layout import TILE
-from ..harmonics.numba import basis_into
+from ..binning.layout import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
+from ..composite.layout import (
+    PAIR_SUMS,
+    SUM_BLUE,
+    SUM_DEPTH,
+    SUM_G,
+    SUM_GREEN,
+    SUM_GX,
+    SUM_GXX,
+    SUM_GXY,
+    SUM_GY,
+    SUM_GYY,
+    SUM_RED,
+    TILE,
+)
+from ..harmonics.numba import basis_into, gradient_into
+from ..runtime.numba import shared_cache as shared_cache  # before the functions are made
+from ..runtime.numba.launch import scratch
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
-from .geometry import camera_point, clamp, direction, rotation, tiles_of
 from .layout import (
     BLUE,
+    CENTRE_X,
+    CENTRE_Y,
+    CENTRE_Z,
     CONIC_A,
     CONIC_B,
     CONIC_C,
@@ -42,12 +64,18 @@ from .layout import (
     R21,
     R22,
     RED,
+    SPLAT,
+    T0,
+    T1,
+    T2,
     WIDTH,
     U,
     V,
+    arrays_of,
 )
 
 f32 = np.float32
+_SMALL = f32(1e-12)
 _NEAR = f32(NEAR_PLANE_M)
 _BLUR = f32(SCREEN_BLUR_PX2)
 _FARTHEST, _INFINITE = f32(FARTHEST_PX), f32(np.inf)
@@ -62,6 +90,163 @@ CHUNK = 256
 
 NOTED_PER_CHUNK = 16 * CHUNK
 """Tiles of a chunk's splats that are noted while they are counted; if there are more, they are found a second time."""
+
+
+@njit(inline="always")
+def camera_point(cam, X, Y, Z):
+    """A point of the world in the camera frame."""
+    x = cam[R00] * X + cam[R01] * Y + cam[R02] * Z + cam[T0]
+    y = cam[R10] * X + cam[R11] * Y + cam[R12] * Z + cam[T1]
+    z = cam[R20] * X + cam[R21] * Y + cam[R22] * Z + cam[T2]
+    return x, y, z
+
+
+@njit(inline="always")
+def direction(cam, X, Y, Z):
+    """Unit vector from the camera's centre to a point of the world, and 1 / its distance."""
+    dx, dy, dz = X - cam[CENTRE_X], Y - cam[CENTRE_Y], Z - cam[CENTRE_Z]
+    inv = _ONE / max(math.sqrt(dx * dx + dy * dy + dz * dz), _SMALL)
+    return dx * inv, dy * inv, dz * inv, inv
+
+
+@njit(inline="always")
+def rotation(q):
+    """|q| and the entries of R(q / |q|), row by row."""
+    norm = max(math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), _SMALL)
+    w, x, y, z = q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+    return (
+        norm,
+        _ONE - _TWO * (y * y + z * z), _TWO * (x * y - w * z), _TWO * (x * z + w * y),
+        _TWO * (x * y + w * z), _ONE - _TWO * (x * x + z * z), _TWO * (y * z - w * x),
+        _TWO * (x * z - w * y), _TWO * (y * z + w * x), _ONE - _TWO * (x * x + y * y),
+    )  # fmt: skip
+
+
+@njit(inline="always")
+def clamp(x, limit):
+    """x, between -limit and limit."""
+    return min(max(x, -limit), limit)
+
+
+@njit(cache=True, error_model="numpy")
+def _band(splat, y_first, y_last):
+    """Columns (first, last) of pixels whose centres the ellipse covers somewhere in the pixel rows y_first .. y_last.
+
+    The ellipse's right edge x(y) = (-B dy + sqrt(B^2 dy^2 - A (C dy^2 - r))) / A is concave, so its largest value in
+    the band is at the rightmost point's dy clamped to the band; the left edge likewise.
+    """
+    u, v, A, B, C = splat[U], splat[V], splat[CONIC_A], splat[CONIC_B], splat[CONIC_C]
+    slack = f32(2e-3)  # for rounding: more entries, the same picture
+    reach = _TWO * (splat[LN_OPACITY] - _LOG_ALPHA_MIN) + slack
+    low = max(f32(y_first) + _HALF - v, -splat[EXTENT_V])
+    high = min(f32(y_last) + _HALF - v, splat[EXTENT_V])
+    dy = min(max(-B * splat[EXTENT_U] / C, low), high)
+    right = (-B * dy + math.sqrt(max(B * B * dy * dy - A * (C * dy * dy - reach), _ZERO))) / A
+    dy = min(max(B * splat[EXTENT_U] / C, low), high)
+    left = (-B * dy - math.sqrt(max(B * B * dy * dy - A * (C * dy * dy - reach), _ZERO))) / A
+    return int(math.ceil(u + left - _HALF)), int(math.floor(u + right - _HALF))
+
+
+@njit(cache=True, error_model="numpy")
+def tiles_of(splat, width, height, windows, tiles, start, room):
+    """Number of tiles that the splat touches; the numbers of the first ``room`` of them go to ``tiles[start:]``.
+
+    Only tiles count in whose window (``binning.tile_windows``) it can be seen; an empty array stands for whole tiles.
+    """
+    y_first = max(0, int(math.ceil(splat[V] - splat[EXTENT_V] - _HALF)))
+    y_last = min(height - 1, int(math.floor(splat[V] + splat[EXTENT_V] - _HALF)))
+    tiles_x = (width + TILE - 1) // TILE
+    n = 0
+    masked = windows.shape[0] > 0
+    if y_first > y_last:
+        return n
+    for ty in range(y_first // TILE, y_last // TILE + 1):
+        left, right = _band(splat, max(y_first, ty * TILE), min(y_last, ty * TILE + TILE - 1))
+        left, right = max(left, 0), min(right, width - 1)
+        if left > right:
+            continue
+        for tx in range(left // TILE, right // TILE + 1):
+            if masked:
+                t = ty * tiles_x + tx
+                beside = (left > windows[t, LAST_X]) | (right < windows[t, FIRST_X])
+                if beside | (y_first > windows[t, LAST_Y]) | (y_last < windows[t, FIRST_Y]):
+                    continue
+            if n < room:
+                tiles[start + n] = ty * tiles_x + tx
+            n += 1
+    return n
+
+
+@njit(cache=True, error_model="numpy")
+def centre_vjp(splats, start, trained, pair_sums, v_uv):
+    """Write dL/d(u, v) to every row of ``v_uv`` [N, 2]; arguments as for ``project_rows_vjp``.
+
+    ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy with (dx, dy) = pixel - (u, v), so v_u = A sum g dx + B sum g dy.
+    """
+    all_trained = trained.shape[0] == 0
+    for i in range(v_uv.shape[0]):
+        g_x, g_y = np.float32(0.0), np.float32(0.0)
+        v_uv[i] = g_x
+        if start[i] == start[i + 1] or not (all_trained or trained[i]):
+            continue
+        for slot in range(start[i], start[i + 1]):
+            g_x += pair_sums[slot, SUM_GX]
+            g_y += pair_sums[slot, SUM_GY]
+        s = splats[i]
+        v_uv[i, 0] = s[CONIC_A] * g_x + s[CONIC_B] * g_y
+        v_uv[i, 1] = s[CONIC_B] * g_x + s[CONIC_C] * g_y
+
+
+@njit(cache=True, error_model="numpy")
+def row_sums(start, trained, abs_sums, v_uv_abs):
+    """Write the sum of |dL/d(u, v)| over the pixels to every row of ``v_uv_abs`` [N, 2]; ``abs_sums``: over those of
+    each tile, from ``composite_backward``."""
+    all_trained = trained.shape[0] == 0
+    for i in range(v_uv_abs.shape[0]):
+        u, v = np.float32(0.0), np.float32(0.0)
+        if all_trained or trained[i]:
+            for slot in range(start[i], start[i + 1]):
+                u += abs_sums[slot, 0]
+                v += abs_sums[slot, 1]
+        v_uv_abs[i, 0], v_uv_abs[i, 1] = u, v
+
+
+def project(params: GaussianParams, cam: np.ndarray, wanted: TileWindows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``splats``, ``count`` and ``noted`` of ``project_rows``; only inside ``launching``."""
+    N = len(params)
+    splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
+    noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
+    project_rows(arrays_of(params), cam, wanted, splats, count, noted)
+    return splats, count, noted
+
+
+def gradients_of(
+    saved: Any,
+    trained: np.ndarray,
+    sums: np.ndarray,
+    abs_sums: np.ndarray | None,
+    v_uv: Tensor | None,
+    v_uv_abs: Tensor | None,
+) -> GaussianParams:
+    """dL/d of the parameters of a drawn map from the sums of its splats; also fills dL/d of the centres if asked to.
+
+    Args:
+        saved: The map, ``params``; its camera, ``lens``; ``splats`` and ``start``, as for ``project_rows_vjp``.
+        trained, sums, abs_sums: As for ``project_rows_vjp`` and ``row_sums``.
+        v_uv, v_uv_abs: Of ``render_vjp``.
+    """
+    columns = vars(saved.params).items()
+    out = GaussianParams(**{name: torch.empty_like(x, memory_format=torch.contiguous_format) for name, x in columns})
+    project_rows_vjp(arrays_of(saved.params), saved.lens, saved.splats, saved.start, trained, sums, arrays_of(out))
+    if v_uv is not None:
+        packed = v_uv.contiguous()
+        centre_vjp(saved.splats, saved.start, trained, sums, packed.numpy())
+        v_uv.copy_(packed)
+    if v_uv_abs is not None:
+        packed = v_uv_abs.contiguous()
+        row_sums(saved.start, trained, abs_sums, packed.numpy())
+        v_uv_abs.copy_(packed)
+    return out
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
@@ -180,3 +365,136 @@ def _colour(cam, xyz, sh, basis, s):
         blue += basis[k] * sh[k, 2]
     s[RED], s[GREEN], s[BLUE] = max(red, _ZERO), max(green, _ZERO), max(blue, _ZERO)
     return abs(red) < _INFINITE and abs(green) < _INFINITE and abs(blue) < _INFINITE
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
+    """Add up each row's pair sums and carry them to its parameters; every row of the outputs is written.
+
+    Rows that are not ``trained`` get zero and their pair sums are not read; an empty array stands for all rows.
+    """
+    xyz, log_scale, quat, sh = params.xyz, params.log_scale, params.quat, params.sh
+    v_xyz, v_log_scale, v_quat = v_params.xyz, v_params.log_scale, v_params.quat
+    v_logit, v_sh = v_params.logit, v_params.sh
+    all_trained = trained.shape[0] == 0
+    N = sh.shape[0]
+    n_parts = (N + CHUNK - 1) // CHUNK
+    for k_part in prange(cyclic_size(n_parts)):
+        part = cyclic_task(k_part, n_parts)
+        if part >= n_parts:
+            continue
+        total = np.empty(PAIR_SUMS, np.float32)
+        basis, w = np.empty(16, np.float32), np.empty(16, np.float32)
+        for i in range(part * CHUNK, min(N, part * CHUNK + CHUNK)):
+            if start[i] == start[i + 1] or not (all_trained or trained[i]):
+                v_xyz[i] = _ZERO
+                v_log_scale[i] = _ZERO
+                v_quat[i] = _ZERO
+                v_logit[i] = _ZERO
+                v_sh[i] = _ZERO
+                continue
+            total[:] = _ZERO
+            for slot in range(start[i], start[i + 1]):
+                for j in range(PAIR_SUMS):
+                    total[j] += pair_sums[slot, j]
+            s = splats[i]
+            v_logit[i] = total[SUM_G] * (_ONE - math.exp(s[LN_OPACITY]))
+            _project_vjp(cam, s, total, (xyz[i], log_scale[i], quat[i]), v_xyz[i], v_log_scale[i], v_quat[i])
+            _colour_vjp(cam, s, total, xyz[i], sh[i], (basis, w), v_xyz[i], v_sh[i])
+
+
+@njit(inline="always")
+def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
+    """From the centre, the conic and the depth of a splat to its row: position, log scales, quaternion."""
+    xyz, log_scale, quat = row
+    v_u, v_v, v_uu, v_uv, v_vv = _covariance_vjp(s, total)
+    x, y, _ = camera_point(cam, xyz[0], xyz[1], xyz[2])
+    inv_z = _ONE / s[DEPTH]
+    x_z, y_z = x * inv_z, y * inv_z
+    tx, ty = clamp(x_z, cam[LIMIT_X]), clamp(y_z, cam[LIMIT_Y])
+    norm, r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(quat)
+    frame = (cam[FX] * inv_z, cam[FY] * inv_z, tx, ty, v_uu, v_uv, v_vv)
+    g00, g10, g20, l0, tx0, ty0, mm0 = _column_vjp(cam, frame, r00, r10, r20, math.exp(log_scale[0]))
+    g01, g11, g21, l1, tx1, ty1, mm1 = _column_vjp(cam, frame, r01, r11, r21, math.exp(log_scale[1]))
+    g02, g12, g22, l2, tx2, ty2, mm2 = _column_vjp(cam, frame, r02, r12, r22, math.exp(log_scale[2]))
+    v_log_scale[0], v_log_scale[1], v_log_scale[2] = l0, l1, l2
+    v_tx, v_ty, v_mm = tx0 + tx1 + tx2, ty0 + ty1 + ty2, mm0 + mm1 + mm2
+    _quaternion_vjp(quat, norm, (g00, g01, g02, g10, g11, g12, g20, g21, g22), v_quat)
+    v_xz = cam[FX] * v_u + (v_tx if tx == x_z else _ZERO)
+    v_yz = cam[FY] * v_v + (v_ty if ty == y_z else _ZERO)
+    c0, c1 = v_xz * inv_z, v_yz * inv_z
+    c2 = total[SUM_DEPTH] - inv_z * (x_z * v_xz + y_z * v_yz + v_mm)
+    v_xyz[0] = cam[R00] * c0 + cam[R10] * c1 + cam[R20] * c2
+    v_xyz[1] = cam[R01] * c0 + cam[R11] * c1 + cam[R21] * c2
+    v_xyz[2] = cam[R02] * c0 + cam[R12] * c1 + cam[R22] * c2
+
+
+@njit(inline="always")
+def _covariance_vjp(s, total):
+    """dL/d of the centre u, v and of the 2D covariance uu, uv, vv, from the sums over a splat's pixels."""
+    A, B, C = s[CONIC_A], s[CONIC_B], s[CONIC_C]
+    # ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy,  d = pixel - centre
+    v_u, v_v = A * total[SUM_GX] + B * total[SUM_GY], B * total[SUM_GX] + C * total[SUM_GY]
+    v_A, v_B, v_C = -_HALF * total[SUM_GXX], -_HALF * total[SUM_GXY], -_HALF * total[SUM_GYY]
+    # v_cov = -Q v_Q Q
+    p00, p01 = v_A * A + v_B * B, v_A * B + v_B * C
+    p10, p11 = v_B * A + v_C * B, v_B * B + v_C * C
+    return v_u, v_v, -(A * p00 + B * p10), -_TWO * (A * p01 + B * p11), -(B * p01 + C * p11)
+
+
+@njit(inline="always")
+def _column_vjp(cam, frame, q0, q1, q2, scale):
+    """One column of B = R_CW R_q S: the gradient to that column of R_q (3), its log scale, tx, ty, and m . v_m."""
+    a, b, tx, ty, v_uu, v_uv, v_vv = frame
+    B0 = (cam[R00] * q0 + cam[R01] * q1 + cam[R02] * q2) * scale
+    B1 = (cam[R10] * q0 + cam[R11] * q1 + cam[R12] * q2) * scale
+    B2 = (cam[R20] * q0 + cam[R21] * q1 + cam[R22] * q2) * scale
+    m_u, m_v = a * (B0 - tx * B2), b * (B1 - ty * B2)
+    v_mu = _TWO * v_uu * m_u + v_uv * m_v
+    v_mv = _TWO * v_vv * m_v + v_uv * m_u
+    v_B0, v_B1 = a * v_mu, b * v_mv
+    v_B2 = -(tx * v_B0 + ty * v_B1)
+    return (
+        (cam[R00] * v_B0 + cam[R10] * v_B1 + cam[R20] * v_B2) * scale,
+        (cam[R01] * v_B0 + cam[R11] * v_B1 + cam[R21] * v_B2) * scale,
+        (cam[R02] * v_B0 + cam[R12] * v_B1 + cam[R22] * v_B2) * scale,
+        v_B0 * B0 + v_B1 * B1 + v_B2 * B2,
+        -a * B2 * v_mu,
+        -b * B2 * v_mv,
+        m_u * v_mu + m_v * v_mv,
+    )
+
+
+@njit(inline="always")
+def _quaternion_vjp(quat, norm, v_R, v_quat):
+    """From R, row by row, to the unit quaternion, then through its normalisation."""
+    g00, g01, g02, g10, g11, g12, g20, g21, g22 = v_R
+    qw, qx, qy, qz = quat[0] / norm, quat[1] / norm, quat[2] / norm, quat[3] / norm
+    v_w = _TWO * (qx * (g21 - g12) + qy * (g02 - g20) + qz * (g10 - g01))
+    v_x = _TWO * (qy * (g01 + g10) + qz * (g02 + g20) + qw * (g21 - g12) - _TWO * qx * (g11 + g22))
+    v_y = _TWO * (qx * (g01 + g10) + qz * (g12 + g21) + qw * (g02 - g20) - _TWO * qy * (g00 + g22))
+    v_z = _TWO * (qx * (g02 + g20) + qy * (g12 + g21) + qw * (g10 - g01) - _TWO * qz * (g00 + g11))
+    along = qw * v_w + qx * v_x + qy * v_y + qz * v_z
+    v_quat[0], v_quat[1] = (v_w - qw * along) / norm, (v_x - qx * along) / norm
+    v_quat[2], v_quat[3] = (v_y - qy * along) / norm, (v_z - qz * along) / norm
+
+
+@njit(inline="always")
+def _colour_vjp(cam, s, total, xyz, sh, scratch, v_xyz, v_sh):
+    """From the colour of a splat to its coefficients and, through the direction of view, added to its position."""
+    basis, w = scratch
+    K = sh.shape[0]
+    v_red = total[SUM_RED] if s[RED] > _ZERO else _ZERO
+    v_green = total[SUM_GREEN] if s[GREEN] > _ZERO else _ZERO
+    v_blue = total[SUM_BLUE] if s[BLUE] > _ZERO else _ZERO
+    dx, dy, dz, inv = direction(cam, xyz[0], xyz[1], xyz[2])
+    basis_into(dx, dy, dz, K, basis)
+    for k in range(K):
+        v_sh[k, 0], v_sh[k, 1], v_sh[k, 2] = basis[k] * v_red, basis[k] * v_green, basis[k] * v_blue
+        w[k] = sh[k, 0] * v_red + sh[k, 1] * v_green + sh[k, 2] * v_blue
+    if K > 1:
+        e0, e1, e2 = gradient_into(dx, dy, dz, K, w)
+        radial = dx * e0 + dy * e1 + dz * e2
+        v_xyz[0] += (e0 - dx * radial) * inv
+        v_xyz[1] += (e1 - dy * radial) * inv
+        v_xyz[2] += (e2 - dz * radial) * inv

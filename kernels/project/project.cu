@@ -12,9 +12,9 @@ struct ProjectionLens {
 };
 
 struct Params {
-    const float *xyz, *log_scale;
+    const float *xyz_W, *log_scale;
     const float4* quat;
-    const float *logit, *sh, *pose;  // pose: T_WC, 4 x 4 row by row
+    const float *opacity_logit, *sh, *pose;  // pose: T_WC, 4 x 4 row by row
 };
 
 // A row's values on the way to the screen; the gradient makes them again.
@@ -31,7 +31,7 @@ __device__ __forceinline__ void camera_axes(const Params& p, int i, Steps& t) {
     const float* T = p.pose;
 #pragma unroll
     for (int k = 0; k < 9; k++) t.R[k] = T[4 * (k / 3) + k % 3];
-    t.X = p.xyz[3 * i] - T[3], t.Y = p.xyz[3 * i + 1] - T[7], t.Z = p.xyz[3 * i + 2] - T[11];
+    t.X = p.xyz_W[3 * i] - T[3], t.Y = p.xyz_W[3 * i + 1] - T[7], t.Z = p.xyz_W[3 * i + 2] - T[11];
     t.x = t.R[0] * t.X + t.R[3] * t.Y + t.R[6] * t.Z;
     t.y = t.R[1] * t.X + t.R[4] * t.Y + t.R[7] * t.Z;
     t.z = t.R[2] * t.X + t.R[5] * t.Y + t.R[8] * t.Z;
@@ -79,7 +79,7 @@ __device__ __forceinline__ void project(Params p, ProjectionLens c, float4* spla
     if (i >= N) return;
     Steps t;
     camera_axes(p, i, t);
-    const float opacity = 1.0f / (1.0f + expf(-p.logit[i]));
+    const float opacity = 1.0f / (1.0f + expf(-p.opacity_logit[i]));
     depth[i] = __int_as_float(0x7f800000);  // infinite: not drawn
     if (!(t.z > GS_NEAR_PLANE_M && opacity >= GS_ALPHA_MIN)) return;
     ellipse(p, c, i, t);
@@ -112,17 +112,17 @@ __device__ __forceinline__ void project(Params p, ProjectionLens c, float4* spla
 }
 
 struct Gradients {
-    float *xyz, *log_scale;
+    float *xyz_W, *log_scale;
     float4* quat;
-    float *logit, *sh;
+    float *opacity_logit, *sh;
 };
 
 template <int K>
 __device__ __forceinline__ void no_gradient(const Gradients& o, int i) {
 #pragma unroll
-    for (int k = 0; k < 3; k++) o.xyz[3 * i + k] = o.log_scale[3 * i + k] = 0.0f;
+    for (int k = 0; k < 3; k++) o.xyz_W[3 * i + k] = o.log_scale[3 * i + k] = 0.0f;
     o.quat[i] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
-    o.logit[i] = 0.0f;
+    o.opacity_logit[i] = 0.0f;
     const float none[3 * K] = {};
     store_coefficients<K>(o.sh, i, none);
 }
@@ -185,7 +185,7 @@ __device__ __forceinline__ void project_vjp(
             m[3 * row + k] = t.s[k] * (t.R[3 * row] * w[k] + t.R[3 * row + 1] * w[3 + k] + t.R[3 * row + 2] * w[6 + k]);
     }
     o.quat[i] = rotation_vjp(t.q, t.norm, m);
-    o.logit[i] = sum[SUM_G] * (1.0f / (1.0f + expf(p.logit[i])));  // d ln o = (1 - o) d logit
+    o.opacity_logit[i] = sum[SUM_G] * (1.0f / (1.0f + expf(p.opacity_logit[i])));  // d ln o = (1 - o) d logit
 
     // a colour that is clamped has no gradient
     const float v[3] = {
@@ -208,7 +208,7 @@ __device__ __forceinline__ void project_vjp(
     const float e[3] = {g.x - d.x * radial, g.y - d.y * radial, g.z - d.z * radial};
 #pragma unroll
     for (int k = 0; k < 3; k++)
-        o.xyz[3 * i + k] = t.R[3 * k] * v_x + t.R[3 * k + 1] * v_y + t.R[3 * k + 2] * v_z + e[k] / distance;
+        o.xyz_W[3 * i + k] = t.R[3 * k] * v_x + t.R[3 * k + 1] * v_y + t.R[3 * k + 2] * v_z + e[k] / distance;
 }
 
 extern "C" __global__ void __launch_bounds__(128) project_1(

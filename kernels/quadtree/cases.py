@@ -3,7 +3,10 @@
 Cases of ``quadtree``: pictures from one pixel up, of odd sizes, thin and strided ones, and of one colour.
 """
 
+import functools
+import itertools
 from collections.abc import Iterator
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -17,22 +20,18 @@ _SIZES = ((1, 1), (1, 500), (500, 3), (4, 4), (5, 7), (64, 48), (97, 61), (160, 
 
 def cases() -> Iterator[Case]:
     """One for each measure of contrast, and one for the smallest cell."""
-    for contrast in ("released", "std"):
+    runs = {f"contrast {contrast!r}": functools.partial(_cells, contrast) for contrast in ("released", "std")}
+    for name, run in (runs | {"smallest cells and strides": _smallest_cells}).items():
+        yield Case(name=name, operations=("quadtree",), run=run, dtypes=(torch.float32,))
 
-        def run(device: torch.device, dtype: torch.dtype, contrast=contrast) -> dict[str, Tensor]:
-            leaves = {}
-            for size in _SIZES:
-                for make in (noise_and_ramp, landscape):
-                    for threshold in (0.0, 1e-3, 0.02):
-                        cells = quadtree(make(*size).to(device), threshold=threshold, contrast=contrast)
-                        picture = f"{make.__name__} {size}, {threshold}"
-                        leaves |= {f"{name} {picture}": column for name, column in vars(cells).items()}
-            return leaves
 
-        yield Case(name=f"contrast {contrast!r}", operations=("quadtree",), run=run, dtypes=(torch.float32,))
-    yield Case(
-        name="smallest cells and strides", operations=("quadtree",), run=_smallest_cells, dtypes=(torch.float32,)
-    )
+def _cells(contrast: Literal["released", "std"], device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+    leaves = {}
+    for size, make, threshold in itertools.product(_SIZES, (noise_and_ramp, landscape), (0.0, 1e-3, 0.02)):
+        cells = quadtree(make(*size).to(device), threshold=threshold, contrast=contrast)
+        picture = f"{make.__name__} {size}, {threshold}"
+        leaves |= {f"{name} {picture}": column for name, column in vars(cells).items()}
+    return leaves
 
 
 def noise_and_ramp(width: int, height: int) -> Tensor:

@@ -1,17 +1,15 @@
 """The image quadtree in two passes up and one down: ``quadtree.cu``. The host waits once, for the number of leaves."""
 
-import ctypes
-from typing import Annotated, Literal, NamedTuple
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-from gsfusion_nb.constants import QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import Cells
+from gsfusion_nb.seeding.quadtree import QUADTREE_NORMALISER, Cells
 
 from ..runtime.arguments import parts
 from ..runtime.cuda.launch import device_of, launch
-from .torch import LEAF_COLUMNS, LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level, to_cells
+from .layout import LEAF_COLUMNS, LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level, to_cells
 
 _BLOCK = 256
 _CLIMB = {"sum_cells": 3, "add_levels": 4}
@@ -23,24 +21,6 @@ _ROOT = 3
 _MOST_PIXELS, _MOST_EXTRA_LEVELS = 256, 7
 """A cell larger than this is summed in parts, as long as there are few of those."""
 
-Double = Annotated[float, ctypes.c_double]
-
-
-class Rule(NamedTuple):
-    """When a cell of a picture is cut; those of level ``levels`` are not. Luma weights are parts of a denominator."""
-
-    width: int
-    height: int
-    levels: int
-    min_cell_px: int
-    released: bool
-    red: int
-    green: int
-    blue: int
-    denominator: int
-    normaliser: Double
-    threshold: Double
-
 
 def quadtree(
     rgb_u8: Tensor,
@@ -50,25 +30,15 @@ def quadtree(
     contrast: Literal["released", "std"] = "released",
 ) -> Cells:
     """See ``gsfusion_nb.seeding.quadtree``."""
-    device = device_of("quadtree", rgb_u8=rgb_u8)
+    device = device_of("quadtree", rgb_u8)
     height, width = rgb_u8.shape[:2]
     levels = deepest_level(width, height, min_cell_px)
     leaves, total = torch.empty(_ROOT + (4**levels - 1) // 3, dtype=torch.int32, device=device), 1
     if levels:
         red, green, blue = LUMA_NUMERATORS
-        rule = Rule(
-            width=width,
-            height=height,
-            levels=levels,
-            min_cell_px=min_cell_px,
-            released=contrast == "released",
-            red=red,
-            green=green,
-            blue=blue,
-            denominator=LUMA_DENOMINATOR,
-            normaliser=QUADTREE_NORMALISER,
-            threshold=threshold,
-        )
+        rule = {"width": width, "height": height, "levels": levels, "min_cell_px": min_cell_px}
+        rule |= {"released": contrast == "released", "threshold": threshold, "normaliser": QUADTREE_NORMALISER}
+        rule |= {"red": red, "green": green, "blue": blue, "denominator": LUMA_DENOMINATOR}
         _count_leaves(rgb_u8.contiguous(), leaves, _summed_level(width, height, levels), rule)
         total = int(leaves[_ROOT])
     out = torch.empty((len(LEAF_COLUMNS), total), dtype=torch.int32, device=device)
@@ -78,7 +48,7 @@ def quadtree(
     return to_cells(out)
 
 
-def _count_leaves(rgb_u8: Tensor, leaves: Tensor, level: int, rule: Rule) -> None:
+def _count_leaves(rgb_u8: Tensor, leaves: Tensor, level: int, rule: dict[str, Any]) -> None:
     """Leaves below every cell, from the cells of ``level`` up to the whole picture."""
     source, kernel = rgb_u8, "sum_cells"
     while level >= 0:

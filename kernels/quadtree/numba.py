@@ -10,11 +10,11 @@ import torch
 from numba import int64, njit, prange
 from torch import Tensor
 
-from gsfusion_nb.constants import QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import Cells
+from gsfusion_nb.seeding.quadtree import QUADTREE_NORMALISER, Cells
+from gsfusion_nb.seeding.quadtree import quadtree as reference
 
 from ..runtime.numba.launch import launching
-from .torch import (
+from .layout import (
     HEIGHT,
     LEAF_COLUMNS,
     LEVEL,
@@ -26,7 +26,6 @@ from .torch import (
     deepest_level,
     to_cells,
 )
-from .torch import quadtree as vectorised
 
 _RED, _GREEN, _BLUE = LUMA_NUMERATORS
 _DENOMINATOR = float(LUMA_DENOMINATOR)
@@ -47,7 +46,7 @@ def quadtree(
 ) -> Cells:
     """See ``gsfusion_nb.seeding.quadtree``."""
     if rgb_u8.device.type != "cpu":
-        return vectorised(rgb_u8, threshold=threshold, min_cell_px=min_cell_px, contrast=contrast)
+        return reference.reference(rgb_u8, threshold=threshold, min_cell_px=min_cell_px, contrast=contrast)
     image = rgb_u8.contiguous().numpy()
     height, width = image.shape[:2]
     levels = deepest_level(width, height, min_cell_px)

@@ -1,27 +1,24 @@
 """``render_forward`` and ``render_vjp`` in CUDA, which ``gsfusion_nb.backends`` offers for CUDA tensors.
 
-Project and colour every row, list its tiles, sort, composite; and back. float64 goes to backend "torch". Gradients are
+Project and colour every row, list its tiles, sort, composite; and back. float64 goes to the reference. Gradients are
 added up by atomics, in an order that changes from run to run: they repeat to rounding, not bit for bit.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
 from gsfusion_nb.render.on_screen import ScreenGaussians
-from gsfusion_nb.render.tiles import TileLists as PlainLists
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
-from ..binning.cuda import TILE, TileLists, list_tiles
-from ..composite.layout import Work
-from ..project.cuda import centre_vjp, project_rows, project_rows_vjp
-from ..project.layout import CONIC_A, DEPTH, LN_OPACITY, RED, SPLAT, U
+from ..binning.cuda import TileLists, list_tiles
+from ..project.cuda import gradients_of, project_rows
 from ..runtime.arguments import as_bytes, check_dtype, packed
 from ..runtime.cuda.launch import device_of, launch
-from .torch import blank
+from .host import blank, screen_of
 
 _BLOCK = 128
 _NO_HIT_ALPHA = 1.0
@@ -39,53 +36,22 @@ class CudaPicture(Record):
     depth: Tensor
     """Of the splats, infinite for those that are not drawn."""
     lists: TileLists
-    image: tuple[Tensor, Tensor, Tensor]
-    """Colour, depth, alpha."""
+    image: dict[str, Tensor]
+    """"rgb", "depth" and "alpha"."""
     pixels: Tensor | None
     """uint8, those to be drawn; ``None`` for all."""
 
     @property
+    def work(self) -> dict[str, Any]:
+        """What the kernels are given."""
+        return self.lists.work(self.splats, self.camera, self.pixels)
+
+    @property
     def screen(self) -> ScreenGaussians:
         """What was blended."""
-        s, pixels = self.splats, self.pixels
-        shape = (self.camera.height, self.camera.width)
-        return ScreenGaussians(
-            uv=s[:, U : U + 2],
-            conic=s[:, CONIC_A : CONIC_A + 3],
-            opacity=s[:, LN_OPACITY].exp(),
-            rgb=s[:, RED : RED + 3],
-            depth_m=s[:, DEPTH],
-            tiles=PlainLists(
-                gaussian=self.lists.ids,
-                offset=self.lists.offset,
-                tile_px=TILE,
-                tiles_x=self.lists.tiles_x,
-                tiles_y=self.lists.n_tiles // self.lists.tiles_x,
-                pixels=None if pixels is None else pixels.reshape(shape).bool(),
-            ),
-        )
-
-
-class Images(NamedTuple):
-    """What is to be written; indices that are not wanted are ``None``."""
-
-    rgb: Tensor
-    depth: Tensor
-    alpha: Tensor
-    first: Tensor | None
-    dominant: Tensor | None
-    hit: Tensor | None
-
-
-class Seen(NamedTuple):
-    """A picture and dL/d of it; ``None`` stands for zero."""
-
-    rgb: Tensor
-    depth: Tensor
-    alpha: Tensor
-    v_rgb: Tensor
-    v_depth: Tensor | None
-    v_alpha: Tensor | None
+        shape, pixels = (self.camera.height, self.camera.width), self.pixels
+        drawn = None if pixels is None else pixels.reshape(shape).bool()
+        return screen_of(self.splats, self.lists.ids, self.lists.offset, self.camera, drawn)
 
 
 def render_forward(
@@ -102,7 +68,7 @@ def render_forward(
     Raises:
         ValueError: tensors on several devices or of several types, a wrong mask.
     """
-    device = device_of("render_forward", **vars(params), pixels=pixels)
+    device = device_of("render_forward", params.xyz_W)
     check_dtype("render_forward", torch.float32, **vars(params))
     with_hits = opaque_alpha is not None
     pose = packed(T_WC.to(device, torch.float32))
@@ -115,13 +81,13 @@ def render_forward(
         splats=splats,
         depth=depth,
         lists=list_tiles(splats, depth, camera, pixels),
-        image=(out.rgb, out.depth_m, out.alpha),
+        image={"rgb": out.rgb, "depth": out.depth_m, "alpha": out.alpha},
         pixels=as_bytes(pixels),
     )
-    images = Images(*picture.image, first=out.first_index, dominant=out.dominant_index, hit=out.hit_index)
+    images = picture.image | {"first": out.first_index, "dominant": out.dominant_index, "hit": out.hit_index}
     kernel = f"composite:composite_{int(with_indices)}{int(with_hits)}"
     opaque = float(opaque_alpha or _NO_HIT_ALPHA)
-    launch("render_forward", kernel, picture.lists.n_tiles, _BLOCK, _work(picture), images, opaque)
+    launch("render_forward", kernel, picture.lists.n_tiles, _BLOCK, picture.work, images, opaque)
     return out, picture
 
 
@@ -141,21 +107,7 @@ def render_vjp(
         ValueError: tensors on several devices, a wrong mask.
     """
     gradients = {"v_rgb": v_rgb, "v_depth": v_depth_m, "v_alpha": v_alpha}
-    device = device_of("render_vjp", picture=saved.splats, rows=rows, **gradients)
-    seen = Seen(*saved.image, **{name: None if v is None else packed(v.float()) for name, v in gradients.items()})
-    trained = as_bytes(rows)
-    sums = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
-    kernel, tiles = "composite:composite_backward", saved.lists.n_tiles
-    if v_uv_abs is None:
-        launch("render_vjp", kernel, tiles, _BLOCK, _work(saved), seen, trained, sums)
-    else:
-        abs_sums = torch.zeros(len(saved.splats), 2, dtype=torch.float32, device=device)
-        launch("render_vjp", f"{kernel}_abs", tiles, _BLOCK, _work(saved), seen, trained, sums, abs_sums)
-        v_uv_abs.copy_(abs_sums)
-    if v_uv is not None:
-        centre_vjp(saved.splats, saved.depth, sums, rows, v_uv)
-    return project_rows_vjp(saved.params, saved.camera, saved.T_WC, saved.splats, saved.depth, sums, trained)
-
-
-def _work(picture: CudaPicture) -> Work:
-    return Work.of(picture.splats, picture.lists, picture.camera, picture.pixels)
+    device_of("render_vjp", v_rgb)
+    seen = saved.image | {name: None if v is None else packed(v.float()) for name, v in gradients.items()}
+    centres = {"v_uv": v_uv, "v_uv_abs": v_uv_abs}
+    return gradients_of("render_vjp", "composite:composite_backward", saved, seen, rows=rows, **centres)

@@ -1,6 +1,6 @@
 """``render_forward`` and ``render_vjp`` from the fused kernels: what ``gsfusion_nb.backends`` offers for CPU tensors.
 
-Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to backend "torch".
+Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to the reference.
 """
 
 # Arrays are passed on as a list, which pyright cannot follow:
@@ -14,22 +14,17 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
-from gsfusion_nb.geometry import se3
 from gsfusion_nb.render.on_screen import ScreenGaussians
-from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.layout import check_pairs
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
-from ..composite.layout import PAIR_SUMS, TILE, Image, IndexImages, PairLists, Wanted
-from ..composite.numba import composite_forward
-from ..composite.vjp import composite_backward
-from ..project.geometry import centre_vjp, row_sums
-from ..project.layout import CONIC_A, DEPTH, LN_OPACITY, RED, SPLAT, Params, U, pack_camera
-from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
-from ..project.vjp import project_rows_vjp
+from ..composite.layout import PAIR_SUMS, TILE, Image, IndexImages, PairLists
+from ..composite.numba import composite_backward, composite_forward
+from ..project.layout import pack_camera
+from ..project.numba import gradients_of, project
 from ..runtime.numba.launch import launching, scratch
-from .torch import blank
+from .host import blank, screen_of
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
 _NO_INDEX = np.empty((0, 0), np.int64)
@@ -55,23 +50,8 @@ class NumbaSaved(Record):
     @property
     def screen(self) -> ScreenGaussians:
         """What was blended."""
-        splats, camera = torch.from_numpy(self.splats), self.camera
-        tiles = TileLists(
-            gaussian=torch.from_numpy(self.lists.ids),
-            offset=torch.from_numpy(self.lists.offset),
-            tile_px=TILE,
-            tiles_x=-(-camera.width // TILE),
-            tiles_y=-(-camera.height // TILE),
-            pixels=torch.from_numpy(self.pixels) if self.pixels.size else None,
-        )
-        return ScreenGaussians(
-            uv=splats[:, U : U + 2],
-            conic=splats[:, CONIC_A : CONIC_A + 3],
-            opacity=splats[:, LN_OPACITY].exp(),
-            rgb=splats[:, RED : RED + 3],
-            depth_m=splats[:, DEPTH],
-            tiles=tiles,
-        )
+        splats, ids, offset = map(torch.from_numpy, (self.splats, self.lists.ids, self.lists.offset))
+        return screen_of(splats, ids, offset, self.camera, torch.from_numpy(self.pixels) if self.pixels.size else None)
 
 
 def render_forward(
@@ -85,19 +65,15 @@ def render_forward(
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``."""
     drawn = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
-    arrays = Params(*(t.detach().contiguous().numpy() for t in _tensors(params)))
-    T = T_WC.detach().double()
-    cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
+    cam = pack_camera(camera, T_WC)
     N, H, W = len(params), camera.height, camera.width
-    splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
     out = blank(camera, torch.device("cpu"), with_indices=with_indices, with_hits=opaque_alpha is not None)
     image = Image(rgb=out.rgb.numpy(), depth=out.depth_m.numpy(), alpha=out.alpha.numpy())
     indices = (out.first_index, out.dominant_index, out.hit_index)
     indices = IndexImages(*(_NO_INDEX if index is None else index.numpy() for index in indices))
     with launching():
         wanted = tile_windows(drawn, W, H)
-        noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
-        project_rows(arrays, cam, wanted, splats, count, noted)
+        splats, count, noted = project(params, cam, wanted)
         check_pairs(int(count.sum(dtype=np.int64)))
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count, out=start[1:])
@@ -123,30 +99,11 @@ def render_vjp(
     v_uv_abs: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
-    trained = _ALL_ROWS
-    if rows is not None:
-        trained = rows.contiguous().numpy()
-    arrays = Params(*(t.detach().contiguous().numpy() for t in _tensors(saved.params)))
-    out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in _tensors(saved.params)]
+    trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
     v_image = (_NO_IMAGE if v is None else v.contiguous().float().numpy() for v in (v_rgb, v_depth_m, v_alpha))
-    wanted, n_pairs = Wanted(pixels=saved.pixels, rows=trained), len(saved.lists.ids)
+    wanted, n_pairs = (saved.pixels, trained), len(saved.lists.ids)
     with launching():
         pair_sums = scratch("pair_sums", n_pairs * PAIR_SUMS).reshape(-1, PAIR_SUMS)
         abs_sums = None if v_uv_abs is None else scratch("abs_sums", n_pairs * 2).reshape(-1, 2)
         composite_backward(saved.splats, saved.lists, wanted, saved.image, Image(*v_image), pair_sums, abs_sums)
-        results = Params(*(t.numpy() for t in out))
-        project_rows_vjp(arrays, saved.lens, saved.splats, saved.start, trained, pair_sums, results)
-        if v_uv is not None:
-            packed = v_uv.contiguous()
-            centre_vjp(saved.splats, saved.start, trained, pair_sums, packed.numpy())
-            v_uv.copy_(packed)
-        if v_uv_abs is not None:
-            packed = v_uv_abs.contiguous()
-            row_sums(saved.start, trained, abs_sums, packed.numpy())
-            v_uv_abs.copy_(packed)
-    names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
-    return GaussianParams(**dict(zip(names, out, strict=True)))
-
-
-def _tensors(params: GaussianParams) -> list[Tensor]:
-    return [params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh]
+        return gradients_of(saved, trained, pair_sums, abs_sums, v_uv, v_uv_abs)

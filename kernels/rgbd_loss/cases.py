@@ -3,6 +3,8 @@
 Cases of ``rgbd_l1_vjp``: none, some and all pixels; missing depths; values that are equal.
 """
 
+import functools
+import itertools
 from collections.abc import Iterator
 
 import torch
@@ -15,16 +17,9 @@ from ..runtime.cases import Case
 
 def cases() -> Iterator[Case]:
     """With and without the limit on depth behind the measurement."""
-    for behind_m in (None, 0.1):
-
-        def run(device: torch.device, dtype: torch.dtype, behind_m: float | None = behind_m) -> dict[str, Tensor]:
-            losses = {}
-            for share in (0.0, 0.3, 1.0):
-                for size in ((1, 1), (37, 53)):
-                    losses |= _loss(size, share, behind_m, device, dtype)
-            return losses
-
-        yield Case(name=f"behind_m={behind_m}", operations=("rgbd_l1_vjp",), run=run)
+    for behind_m, share, size in itertools.product((None, 0.1), (0.0, 0.3, 1.0), ((1, 1), (37, 53))):
+        run, name = functools.partial(_loss, size, share, behind_m), f"behind_m={behind_m}, {size}, {share:.0%}"
+        yield Case(name=name, operations=("rgbd_l1_vjp",), run=run)
 
 
 def _loss(size: tuple[int, int], share: float, behind_m: float | None, device, dtype) -> dict[str, Tensor]:
@@ -36,4 +31,4 @@ def _loss(size: tuple[int, int], share: float, behind_m: float | None, device, d
     pixels = torch.rand(size, generator=g) < share
     images = (image.to(device, dtype) for image in (rgb, depth_m, target_rgb, target_depth_m))
     loss = rgbd_l1_vjp(*images, pixels.to(device), weight_colour=0.8, weight_depth=2.0, behind_m=behind_m)
-    return {f"{name} {size[0]}x{size[1]}, {share:.0%} of the pixels": value for name, value in vars(loss).items()}
+    return vars(loss)

@@ -39,7 +39,7 @@ def rgbd_l1_vjp(
         options = {"weight_colour": weight_colour, "weight_depth": weight_depth, "behind_m": behind_m}
         return reference.reference(*images, pixels, **options)
     names = ("rgb", "depth_m", "target_rgb", "target_depth_m")
-    device = device_of("rgbd_l1_vjp", **dict(zip(names, images, strict=True)), pixels=pixels)
+    device = device_of("rgbd_l1_vjp", rgb)
     v_rgb, v_depth_m = (torch.empty_like(t, memory_format=torch.contiguous_format) for t in (rgb, depth_m))
     total = depth_m.numel()
     shared = {

@@ -13,16 +13,6 @@ _ALIGNMENT = 16
 """Bytes: rows are read four numbers at a time."""
 
 
-def one_device(operation: str, tensors: dict[str, Tensor | None]) -> torch.device:
-    """The device of all ``tensors``; ``ValueError`` if they are on several."""
-    found = {name: value.device for name, value in tensors.items() if value is not None}
-    devices = set(found.values())
-    if len(devices) > 1:
-        places = ", ".join(f"{name} on {device}" for name, device in found.items())
-        raise ValueError(f"{operation}: all tensors must be on one device, got {places}")
-    return devices.pop()
-
-
 def check_dtype(operation: str, dtype: torch.dtype, **tensors: Tensor | None) -> None:
     """Raise ``ValueError`` unless all ``tensors`` hold numbers of type ``dtype``."""
     for name, value in tensors.items():

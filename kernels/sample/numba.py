@@ -1,7 +1,6 @@
 """Voxel values at points: the seed test of every quadtree cell, one look-up a point."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -21,15 +20,6 @@ _FARTHEST = f32(1 << 24)
 """Voxel numbers beyond this are not whole in float32, and no block is there."""
 
 
-class Voxels(NamedTuple):
-    """Values of the blocks in the pool: D, W and W_rgb [B, 512], planes of colour [B, 3, 512]."""
-
-    D: np.ndarray
-    W: np.ndarray
-    rgb: np.ndarray
-    W_rgb: np.ndarray
-
-
 def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     """See ``gsfusion_nb.tsdf.sample_voxels``."""
     lookup = volume.index.table
@@ -40,8 +30,8 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     D, W, rgb, W_rgb = torch.empty(n), torch.empty(n), torch.empty(n, 3), torch.empty(n)
     rows, low, size = lookup
     table = BlockTable(rows=rows.numpy(), low=low.numpy().astype(np.int64), size=np.array(size, np.int64))
-    voxels = Voxels(D=volume.D.numpy(), W=volume.W.numpy(), rgb=volume.rgb_planes.numpy(), W_rgb=volume.W_rgb.numpy())
-    out = Voxels(D=D.numpy(), W=W.numpy(), rgb=rgb.numpy(), W_rgb=W_rgb.numpy())
+    voxels = tuple(field.numpy() for field in (volume.D, volume.W, volume.rgb_planes, volume.W_rgb))
+    out = tuple(field.numpy() for field in (D, W, rgb, W_rgb))
     points = xyz_W.detach().contiguous().numpy()
     with launching():
         _sample(table, voxels, points, f32(volume.config.voxel_size_m), out)
@@ -55,10 +45,13 @@ def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: NewBlocks, xy
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _sample(table, voxels, points, voxel_size, out):
-    """The values at the points; where no block is allocated D is 1, W 0 and the colour black."""
+    """The values at the points; where no block is allocated D is 1, W 0 and the colour black.
+
+    voxels: D [B, 512], W, planes of colour [B, 3, 512] and W_rgb of the blocks in the pool. out: of the points.
+    """
     rows, low, size = table.rows, table.low, table.size
-    field_D, field_W, field_rgb, field_W_rgb = voxels.D, voxels.W, voxels.rgb, voxels.W_rgb
-    D, W, rgb, W_rgb = out.D, out.W, out.rgb, out.W_rgb
+    field_D, field_W, field_rgb, field_W_rgb = voxels
+    D, W, rgb, W_rgb = out
     N, chunk = points.shape[0], 1024
     for part in prange((N + chunk - 1) // chunk):
         for i in range(part * chunk, min(N, part * chunk + chunk)):

@@ -31,7 +31,7 @@ def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor,
     """See ``gsfusion_nb.optim.dssim_vjp``."""
     if rgb.dtype != torch.float32 or target.dtype != torch.float32:
         return reference.dssim_vjp.reference(rgb, target, v_loss)
-    device = device_of("dssim_vjp", rgb=rgb, target=target)
+    device = device_of("dssim_vjp", rgb)
     window = window_weights(device)
     x, y = rgb.detach().contiguous(), target.detach().contiguous()
     total, stride = x.numel(), 3 * x.shape[1]

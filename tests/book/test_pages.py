@@ -1,4 +1,4 @@
-"""The pieces of the web book on small inputs: pages of chapters, quiz, settings, the link checker."""
+"""The pieces of the web book on small inputs: pages of chapters, quiz, reference."""
 
 import base64
 from pathlib import Path
@@ -6,10 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from book.assemble import with_answers
-from book.build import broken_links
+from book.assemble import api_page, quiz_page
 from book.chapters import Chapter
 from book.pages import Places, in_the_book, places_of
+from quiz import question
+
+from gsfusion_nb.course import exercises
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -63,7 +65,7 @@ def test_a_chapter_has_text_numbers_hints_solution_and_pictures(chapter):
     address = "03_quadtree_decomposition_files/picture-0.png"
     assert f'src="{address}" width="12" height="8"' in page
     assert 'alt="a &quot;black&quot; picture"' in page
-    assert list(chapter.files.contents) == [address]
+    assert list(chapter.files) == [address]
 
 
 def test_what_came_waits_for_the_prediction(chapter):
@@ -73,43 +75,21 @@ def test_what_came_waits_for_the_prediction(chapter):
     assert page.index("See what came") < page.index("9 &lt; 10") < page.index("It came: 9.")
 
 
-def test_a_file_that_is_named_leads_to_its_source_and_a_name_beside_it_to_its_line(places):
-    row = "| 6 | `gsfusion_nb/tsdf/integrate.py` | `signed_distance_m` |"
-    line = places.line_of("gsfusion_nb/tsdf/integrate.py", "signed_distance_m")
-    page = in_the_book(row, "docs/equations.md", places)
-    assert line > 0
-    assert 'href="../source/gsfusion_nb/tsdf/integrate.py.html"' in page
-    assert f'href="../source/gsfusion_nb/tsdf/integrate.py.html#L-{line}"' in page
-    assert in_the_book("`no/such/file.py`\n\n```\n[a](b.py)\n```", "docs/x.md", places).count("<a ") == 0
+def test_links_to_files_lead_to_the_repository_if_there_is_one(places):
+    text = "[the volume](../gsfusion_nb/tsdf/integrate.py)\n\n```\n[a](b.py)\n```"
+    page = in_the_book(text, "docs/x.md", places_of(ROOT, "https://example.org/"))
+    assert page == text.replace("../gsfusion_nb", "https://example.org/gsfusion_nb")
+    assert in_the_book(text, "docs/x.md", places).startswith("the volume\n")
 
 
-def test_a_question_of_the_quiz_gets_its_answer():
-    questions = (
-        "# Quiz\n\n**psnr-1**\n\n```python\nx\n```\n\nWhich?\n\n- A. one\n- B. `two`\n\n**psnr-2**\n\nAnd?\n\n- A. a\n"
-    )
-    answers = "| `psnr-1` | B | two. Got 1 |\n| `psnr-2` | A | yes |\n"
-    page = with_answers(questions, answers)
-    assert page.count("<form") == 2
-    assert 'data-right="B"' in page
-    assert 'value="B"><span>B. <code>two</code></span>' in page
-    assert "The checker says: two. Got 1" in page
-    with pytest.raises(ValueError, match="no answer to psnr-2"):
-        with_answers(questions, answers.splitlines()[0])
+def test_a_question_of_the_quiz_can_be_answered():
+    asked = question(exercises()["psnr"], 1)
+    page = quiz_page(0, [asked])
+    assert f'data-right="{"ABCD"[asked.answer]}"' in page
+    assert page.count("<label>") == 4
 
 
-def test_the_link_checker_finds_what_is_wrong(tmp_path):
-    (tmp_path / "a").mkdir()
-    (tmp_path / "a/b.html").write_text('<p id="here"><a href="../index.html#top">up</a></p>')
-    (tmp_path / "index.html").write_text(
-        '<h1 id="top"><a href="a/b.html#here">right</a> <a href="https://example.org">elsewhere is allowed</a>'
-        '<a href="a/b.html#gone">1</a><img src="no.png" alt=""><script src="https://cdn.example.org/x.js"></script>'
-        '<a href="../outside.html">4</a></h1>'
-    )
-    (tmp_path / "s.css").write_text('@import "https://fonts.example.org/f.css";')
-    assert broken_links(tmp_path) == [
-        "index.html loads https://cdn.example.org/x.js from another server",
-        "index.html leads to ../outside.html: no such file",
-        "index.html leads to a/b.html#gone: the page has no such place",
-        "index.html leads to no.png: no such file",
-        "s.css loads https://fonts.example.org/f.css from another server",
-    ]
+def test_the_reference_lists_the_public_names_of_a_room():
+    page = api_page("tsdf", ROOT / "gsfusion_nb")
+    assert "autofunction:: gsfusion_nb.tsdf.tsdf_update" in page
+    assert "autofunction:: gsfusion_nb.backends.use_backend" in api_page("backends", ROOT / "gsfusion_nb")

@@ -248,40 +248,16 @@ def _wait_for_server(url: str, output: Path) -> None:
 
 @pytest.fixture(scope="session")
 def book_site(tmp_path_factory) -> Path:
-    """The web book: that of $GSNB_BOOK, or one that is built without recorded views."""
+    """The web book: that of $GSNB_BOOK, or one that is built with the quiz of chapter 0."""
     from book.assemble import Settings
     from book.build import build
-    from quiz import bank
-    from quiz_files import pages
+    from quiz import bank, by_chapter
 
     if ready := os.environ.get("GSNB_BOOK"):
         return Path(ready).resolve()
     out = tmp_path_factory.mktemp("book") / "site"
-    quiz = pages(bank(_PROJECT / "notebooks", chapters=[0]))
-    assert build(_PROJECT, out, Settings(), views=(), quiz=quiz) == []
+    build(_PROJECT, out, Settings(), by_chapter(q for q in bank() if q.chapter == 0))
     return out
-
-
-@pytest.fixture(scope="session")
-def views_page(tmp_path_factory, recorded_views) -> Path:
-    """Folder of ``views.html``, a page with a view of each kind, as a chapter has them."""
-    from book.record import write
-    from book.recorded import front_ends, placeholder, style_sheet
-
-    folder = tmp_path_factory.mktemp("views")
-    static = _PROJECT / "tools/book/static"
-    scripts = {**front_ends(), "views.css": style_sheet(), "views.js": (static / "views.js").read_text()}
-    for name, text in scripts.items():
-        (folder / name).write_text(text)
-    parts = []
-    for name, view in recorded_views.items():
-        write({name: view}, folder / "x" / name)
-        listed = json.loads((folder / "x" / name / "views.json").read_text())
-        parts.append(placeholder(listed[name], f"x/{name}", name))
-    head = '<meta charset=utf-8><title>Views</title><link rel="stylesheet" href="views.css">'
-    body = f'<main><h1>Views</h1>{"".join(parts)}</main><script defer src="views.js"></script>'
-    (folder / "views.html").write_text(f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>')
-    return folder
 
 
 @pytest.fixture(scope="session")

@@ -64,7 +64,7 @@ def test_a_prediction_is_recorded_by_a_click(project_lab, page):
 
 def test_the_live_view_is_finished_and_its_slider_goes_back(project_lab, page):
     assert page.locator(".gsnb-live button:enabled").count() == 0
-    slider = page.locator(".gsnb-live-frame")
+    slider = page.locator(".gsnb-live-back")
     before = project_lab.value(page, "live.scrubber.widget.value")
     project_lab.screenshot(page.locator(".gsnb-live").first, "live_finished")
     project_lab.move_slider(slider, -before)

@@ -48,7 +48,7 @@ bars
 def page(lab):
     page = lab.open([MAP, SPLATS, RULE, AMDAHL])
     yield page
-    lab.run(page, "live.close()")
+    lab.run(page, "live.player.close()")
     page.close()
 
 
@@ -95,7 +95,7 @@ def test_the_map_is_turned_while_it_grows(lab, page):
     lab.wait_for(lambda: lab.value(page, "splats.stats.get('pictures', 0)") > 0, "the first picture")
     pixels = "document.querySelector('.gsnb-splat-software').toDataURL('image/png')"
     before, last = page.evaluate(pixels), lab.value(page, "splats.birth_range[1]")
-    lab.run(page, "live.start()")
+    lab.run(page, "live.player.start()")
     lab.wait_for(lambda: lab.value(page, "splats.birth_range[1]") > last, "newer Gaussians in the viewer")
     lab.wait_for(lambda: page.evaluate(pixels) != before, "a picture of them")
 
@@ -111,7 +111,7 @@ def test_the_map_is_turned_while_it_grows(lab, page):
     page.locator(".gsnb-splat-time").fill("0")  # the time slider goes back while the map grows
     lab.wait_for(lambda: lab.value(page, "splats.born_until") == 0, "the time slider")
     lab.wait_for(lambda: lab.value(page, "live.player.state") in ("running", "finished"), "no harm to the mapping")
-    lab.run(page, "live.stop(); splats.born_until = None")
+    lab.run(page, "live.player.stop(); splats.born_until = None")
     lab.wait_for(lambda: not lab.value(page, "live.player.is_alive"), "the stop")
     sent = "splats.birth_range[1] == float(run.mapper.gaussians.birth_frame.max())"
     lab.wait_for(lambda: lab.value(page, sent), "the last frame in the viewer")

@@ -11,11 +11,16 @@ LONG_FIT = {"STEPS = 40 if": "STEPS = 100_000 if"}
 """The fit shall not finish under our hands."""
 
 
-def click(page, image, x, y):
-    """Click at a fraction of an element's width and height."""
+ZOOM = 300 / 240
+"""Of the first picture of the pixel microscope, below a strip of 26 pixels."""
+
+
+def place_of(image, u, v):
+    """Where on the page a pixel of the first picture of a microscope is."""
     image.scroll_into_view_if_needed()
     box = image.bounding_box()
-    page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    scale = box["width"] / image.evaluate("image => image.naturalWidth")
+    return box["x"] + scale * (u + 0.5) * ZOOM, box["y"] + scale * (26 + (v + 0.5) * ZOOM)
 
 
 @pytest.fixture(scope="module")
@@ -35,30 +40,27 @@ def backward(lab):
 
 
 def test_a_click_shows_the_stack_of_that_pixel(lab, forward):
-    image, lens = forward.locator(".gsnb-microscope-image img"), forward.locator(".gsnb-microscope-lens img")
-    before = lab.screenshot(lens, "microscope_lens_before")
+    image = forward.locator(".gsnb-microscope-image img")
+    before = lab.screenshot(image, "microscope_before")
     assert before.std() > 10
-    click(forward, image, 0.25 + 0.5 / 320, 0.75 + 0.5 / 240)
+    forward.mouse.click(*place_of(image, 80, 180))
     lab.wait_for(
         lambda: lab.run(forward, "print(microscope.stack.u, microscope.stack.v)") == "80 180", "the click to arrive"
     )
-    caption = forward.locator(".gsnb-microscope").get_by_text("pixel (80, 180)")
-    caption.wait_for(timeout=20_000)
-    forward.keyboard.press("ArrowRight")
-    lab.wait_for(lambda: lab.run(forward, "print(microscope.stack.u)") == "81", "the arrow key to arrive")
+    forward.locator(".gsnb-microscope").get_by_text("pixel (80, 180)").wait_for(timeout=20_000)
+    lab.move_slider(forward.locator(".gsnb-microscope-u"), 1)
+    lab.wait_for(lambda: lab.run(forward, "print(microscope.stack.u)") == "81", "the slider to arrive")
     rows = int(lab.run(forward, "print(min(len(microscope.stack), 14))"))
-    lab.wait_for(lambda: forward.locator(".gsnb-microscope-table tr").count() >= rows + 2, "a line for each Gaussian")
-    assert np.abs(lab.screenshot(lens, "microscope_lens_after") - before).mean() > 2
+    lab.wait_for(lambda: forward.locator(".gsnb-microscope-text tr").count() >= rows + 2, "a line for each Gaussian")
+    assert np.abs(lab.screenshot(image, "microscope_after") - before).mean() > 2
     lab.screenshot(forward.locator(".gsnb-microscope"), "microscope")
 
 
 def test_dragging_follows_the_mouse(lab, forward):
     image = forward.locator(".gsnb-microscope-image img")
-    image.scroll_into_view_if_needed()
-    box = image.bounding_box()
-    forward.mouse.move(box["x"] + 10, box["y"] + 10)
+    forward.mouse.move(*place_of(image, 10, 10))
     forward.mouse.down()
-    forward.mouse.move(box["x"] + box["width"] / 2 + 1, box["y"] + box["height"] / 2 + 1, steps=8)
+    forward.mouse.move(*place_of(image, 160, 120), steps=8)
     forward.mouse.up()
     lab.wait_for(
         lambda: lab.run(forward, "print(microscope.stack.u, microscope.stack.v)") == "160 120", "the last position"
@@ -109,16 +111,17 @@ def test_the_fit_starts_pauses_steps_and_stops(lab, backward):
     lab.screenshot(backward.locator(".gsnb-live-loop"), "fit")
 
 
-def test_the_gradient_microscope_follows_click_and_switch(lab, backward):
-    image, arrows = backward.locator(".gsnb-gradient-image img"), backward.locator(".gsnb-gradient-arrows img")
-    first = lab.screenshot(arrows, "gradient_pixel_before")
-    click(backward, image, 0.5 + 0.5 / 160, 0.25 + 0.5 / 120)
+def test_the_gradient_microscope_follows_click_and_choice(lab, backward):
+    image = backward.locator(".gsnb-gradient-image img")
+    first = lab.screenshot(image, "gradient_pixel_before")
+    scale = image.bounding_box()["width"] / image.evaluate("image => image.naturalWidth")
+    image.click(position={"x": scale * 80.5 * 222 / 120, "y": scale * (26 + 30.5 * 222 / 120)})
     lab.wait_for(lambda: lab.run(backward, "print(gradients.of_pixel.stack.u)") == "80", "the click to arrive")
-    lab.wait_for(lambda: np.abs(lab.screenshot(arrows, "gradient_pixel") - first).mean() > 2, "other arrows")
-    second = lab.screenshot(arrows, "gradient_pixel")
-    backward.locator(".gsnb-gradient").get_by_role("button", name="Gaussian").click()
-    backward.locator(".gsnb-gradient-table").get_by_text("sum over all pixels").wait_for(timeout=20_000)
-    assert np.abs(lab.screenshot(arrows, "gradient_gaussian") - second).mean() > 2
+    lab.wait_for(lambda: np.abs(lab.screenshot(image, "gradient_pixel") - first).mean() > 1, "other arrows")
+    second = lab.screenshot(image, "gradient_pixel")
+    backward.locator(".gsnb-gradient-pick select").select_option("Gaussian")
+    backward.locator(".gsnb-gradient-text").get_by_text("sum over all pixels").wait_for(timeout=20_000)
+    assert np.abs(lab.screenshot(image, "gradient_gaussian") - second).mean() > 1
     lab.screenshot(backward.locator(".gsnb-gradient"), "gradient_microscope")
 
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-import cv2
 import numpy as np
 import torch
 
@@ -139,7 +138,7 @@ def _formats(root: Path, takes) -> list[Seed]:
     for name, data in record3d.members(takes).items():
         takes.write(root / "r3d_folder" / name, data)
     seeds.append(Seed("r3d_folder", "convert", root / "r3d_folder"))
-    seeds += [_nerfstudio(root, takes), *_open3d(root, takes), _icl(root, takes), *_bags(root, takes)]
+    seeds += [_nerfstudio(root, takes), *_open3d(root, takes), *_bags(root, takes)]
     return seeds
 
 
@@ -198,16 +197,6 @@ def _open3d(root: Path, takes) -> list[Seed]:
     return seeds
 
 
-def _icl(root: Path, takes) -> Seed:
-    at = root / "icl"
-    for i in range(2):
-        takes.write(at / f"rgb/{i}.png", cv2.imencode(".png", np.full((480, 640, 3), 90, np.uint8))[1].tobytes())
-        takes.write(at / f"depth/{i}.png", cv2.imencode(".png", np.full((480, 640), 9000, np.uint16))[1].tobytes())
-    rows = [" ".join(map(repr, [float(i), *takes.tum_row(i)])) for i in range(2)]
-    takes.write(at / "x.gt.freiburg", "\n".join(rows).encode())
-    return Seed("icl", "convert", at)
-
-
 def _single_files(root: Path, takes) -> list[Seed]:
     c, at = takes.camera, root / "files"
     at.mkdir()
@@ -264,11 +253,11 @@ def _run_folder(root: Path, takes) -> list[Seed]:
     from gsfusion_nb.runs import run_mapping
 
     config = gsfusion("replica", tsdf__voxel_size_m=0.2, sh_degree=1, optim__global_iterations=1, data__stop=3)
-    with use_backend("torch"):
+    with use_backend("numba"):
         run_mapping(str(root / "folder"), config, folder=root / "run", evaluate=True)
         of_tests("plugins/box_room.py").Box().folder(root / "scan")
         interrupted = [_interrupted(root, *kind) for kind in INTERRUPTED]
-    for name in ("report.html", "mesh.ply", "status.json"):
+    for name in ("report.html", "mesh.ply"):
         (root / "run" / name).unlink(missing_ok=True)
     return [
         Seed("run", "rescore", root / "run"),
@@ -277,18 +266,9 @@ def _run_folder(root: Path, takes) -> list[Seed]:
     ]
 
 
-TRACKED = {
-    "tracking__poses": "tracked",
-    "tracking__back_end__keyframe_rotation_deg": 1.0,
-    "tracking__back_end__enabled": True,
-}
 INTERRUPTED = (
     ("interrupted", "gsfusion", {}, 2),
-    ("interrupted_passes", "gsfusion", {}, 4),
-    ("interrupted_rtg", "rtg_slam", {}, 2),
-    ("interrupted_rtg_passes", "rtg_slam", {}, 4),
-    ("interrupted_tracked", "rtg_slam", TRACKED, 2),
-    ("interrupted_lost", "gsfusion", TRACKED | {"tracking__back_end__enabled": False}, 2),
+    ("interrupted_tracked", "rtg_slam", {"tracking__poses": "tracked", "tracking__back_end": True}, 2),
     ("interrupted_stream", "gsfusion", {}, 2),
 )
 """Name, system, settings, and the steps after which the run was cut off; there are three frames."""
@@ -306,7 +286,7 @@ def _interrupted(root: Path, name: str, system: str, values: dict, n_steps: int)
         values |= {"seeding__quadtree_contrast": "std", "seeding__quadtree_threshold": 0.03}
         config = gsfusion("replica", **values)
     else:
-        values |= {"window__iterations": 2, "final__passes": 2, "keyframes__rotation_deg": 1.0}
+        values |= {"window__iterations": 2, "final__passes": 2}
         config = rtg_slam("replica", **values)
     sequence = open_sequence(root / "scan", data=config.data)
     if name.endswith("stream"):

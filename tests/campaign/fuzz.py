@@ -83,9 +83,7 @@ class Campaign:
         files = sorted(p for p in place.rglob("*") if p.is_file())
         plain = [p for p in files if p.suffix.lower() not in (".png", ".jpg", ".npy")]
         chosen = place / seed.entry if (place / seed.entry).is_file() else rng.choice(plain * 3 + files)
-        if seed.target == "resume" and rng.randrange(6):
-            mutate.checkpoint(place / "checkpoint", rng)
-        elif rng.randrange(40) == 0:
+        if rng.randrange(40) == 0:
             _replace(chosen, rng)
         else:
             chosen.write_bytes(mutate.mutated(chosen.read_bytes(), chosen.name, rng, self.others))
@@ -126,7 +124,7 @@ def _kind_of(error: BaseException, folder: Path) -> str:
     return CLEAN if ours and sentence and not foreign else "tracebacks"
 
 
-_MODULES = ("builtins", "gsfusion_nb.errors", "gsfusion_nb.recordings.fetch", "gsfusion_nb.backends")
+_MODULES = ("builtins", "gsfusion_nb.files", "gsfusion_nb.recordings.fetch", "gsfusion_nb.backends")
 
 
 def _replace(path: Path, rng: random.Random) -> None:

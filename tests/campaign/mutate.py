@@ -1,14 +1,11 @@
 """Ways to damage a file: blindly, byte by byte, and with knowledge of its structure."""
 
-import hashlib
 import io
 import json
-import os
 import random
 import re
 import struct
 import zipfile
-from pathlib import Path
 from typing import Any
 
 NUMBERS = (
@@ -150,79 +147,6 @@ def _json(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
     else:
         holder[key] = rng.choice(VALUES)
     return json.dumps(document).encode()
-
-
-def checkpoint(folder: Path, rng: random.Random) -> None:
-    """Other content in a checkpoint, whose checksums are right again afterwards."""
-    (path,) = folder.glob("*.json")
-    document = json.loads(path.read_text().partition("\n")[2])
-    for _ in range(rng.choice((1, 1, 2, 4))):
-        way = rng.choice((_piece, _piece, _piece, _state, _state, _state, _tensor_row, _piece_row))
-        way(document, folder, rng)
-    text = json.dumps(document, separators=(",", ":"))
-    path.write_text(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
-
-
-def _state(document: dict, folder: Path, rng: random.Random) -> None:
-    """Another value, or none, at a random place of the state; often the value of another place."""
-    places = list(_places(document["state"]))
-    if not places:
-        return
-    holder, key = rng.choice(places)
-    way = rng.randrange(5)
-    if way == 0:
-        del holder[key]
-    elif way < 3:
-        other, its = rng.choice(places)
-        holder[key] = json.loads(json.dumps(other[its])) if its in other or isinstance(other, list) else None
-    else:
-        holder[key] = rng.choice(VALUES)
-
-
-def _piece(document: dict, folder: Path, rng: random.Random) -> None:
-    """Other numbers in a tensor."""
-    rows = [row for row in document["pieces"] if isinstance(row, list) and len(row) == 4 and row[1:] != [None] * 3]
-    if not rows:
-        return
-    row = rng.choice(rows)
-    key, name, at, size = row
-    file = folder / str(name)
-    there = os.path.isfile(file)  # false for a name that is too long, where Path.is_file raises
-    if not (isinstance(at, int) and isinstance(size, int) and there and at >= 0 and 0 < size <= 1 << 20):
-        return
-    content = bytearray(file.read_bytes())
-    piece = bytearray(content[at : at + size])
-    for _ in range(rng.choice((1, 1, 3, 20))):
-        value = rng.choice(BYTES)
-        place = rng.randrange(max(1, len(piece) // 4)) * 4
-        piece[place : place + len(value)] = value[: len(piece) - place]
-    content[at : at + size] = piece
-    file.write_bytes(content)
-    fresh = hashlib.sha256(piece).hexdigest()
-    row[0] = fresh
-    for keys in (document["small"], *(t[2] for t in document["tensors"] if isinstance(t, list) and len(t) == 3)):
-        if isinstance(keys, list):
-            keys[:] = [fresh if k == key else k for k in keys]
-
-
-def _tensor_row(document: dict, folder: Path, rng: random.Random) -> None:
-    """Another type, shape or content of a tensor."""
-    rows = [row for row in document["tensors"] if isinstance(row, list) and len(row) == 3]
-    if not rows:
-        return
-    row, way = rng.choice(rows), rng.randrange(4)
-    if way == 0:
-        row[0] = rng.choice(("float32", "int32", "uint8", "bool", "float64", "complex64", "", None))
-    elif way == 1:
-        row[1] = rng.choice(([-1], [0], [], [2**40, 2**40], [-2, -3], list(reversed(row[1] or [])), ["a"], None))
-    else:
-        row[2] = rng.choice(rows)[2] if way == 2 else (row[2] or []) * rng.choice((0, 2, 1000))
-
-
-def _piece_row(document: dict, folder: Path, rng: random.Random) -> None:
-    row: Any = rng.choice(document["pieces"] or [[0]])
-    if isinstance(row, list) and row:
-        row[rng.randrange(len(row))] = rng.choice((*VALUES, "000002.pieces", "../x", 2**62))
 
 
 def _places(node: Any):

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
-from gsfusion_nb.errors import is_foreseen
+from gsfusion_nb.files import is_foreseen
 
 
 class SilentAcceptance(Exception):
@@ -160,7 +160,7 @@ def resume(path: Path) -> None:
     from gsfusion_nb.backends import use_backend
     from gsfusion_nb.runs.resume import load_run
 
-    with use_backend("torch"):
+    with use_backend("numba"):
         run = load_run(path)
         for name, table in run.mapper.maps().items():
             for column in table.values():
@@ -190,7 +190,7 @@ def rescore(path: Path) -> None:
     from gsfusion_nb.backends import use_backend
     from gsfusion_nb.runs import rescore as score_again
 
-    with use_backend("torch"):
+    with use_backend("numba"):
         score_again(path)
 
 
@@ -198,7 +198,7 @@ def archive(path: Path) -> None:
     from gsfusion_nb.recordings.fetch import unpack
 
     folder = path.parent / "unpacked-by-the-campaign"
-    unpack(path, folder, max_bytes=100_000_000)
+    unpack(path, folder)
     inside = {p.resolve() for p in folder.rglob("*")}
     _need(all(p.is_relative_to(folder.resolve()) for p in inside), "a member outside of the folder")
     shutil.rmtree(folder)

@@ -56,7 +56,7 @@ def test_a_folder_is_followed_to_its_end(ended_folder, tmp_path):
 
 
 def test_what_cannot_be_is_said_in_a_sentence(ended_folder, tmp_path, monkeypatch, capsys):
-    with pytest.raises(KeyError, match="no live source 'webcam'; known: folder, kinect, realsense"):
+    with pytest.raises(KeyError, match="no live source 'webcam'; known: folder, realsense"):
         live(["webcam"])
     with pytest.raises(SequenceNotFoundError, match="expected one in which a recording is being written"):
         live(["folder", str(tmp_path / "nowhere")])

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gsfusion_nb.cli.map import run
-from gsfusion_nb.errors import SequenceError
+from gsfusion_nb.files import SequenceError
 from gsfusion_nb.runs import resume_mapping, run_mapping
 from gsfusion_nb.runs.mapping_run import MappingRun
 

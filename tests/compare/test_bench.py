@@ -6,22 +6,21 @@ import sys
 import pytest
 import torch
 
-from gsfusion_nb.compare.bench import BenchOptions, raster, run, tsdf
-from gsfusion_nb.compare.bench.cases import SECTIONS, BenchCase, BenchRow
-from gsfusion_nb.compare.bench.mapping import STAGES
+from gsfusion_nb.compare.bench import BenchOptions, run
+from gsfusion_nb.compare.bench.run import SECTIONS, STAGES, BenchRow
 from gsfusion_nb.compare.bench.scene import random_scene
-from gsfusion_nb.compare.bench.timing import Lap, Timing, summary
-from gsfusion_nb.constants import ALPHA_MIN
+from gsfusion_nb.compare.bench.timing import Lap, summary
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.render import project_gaussians, render
+from gsfusion_nb.render.constants import ALPHA_MIN
 from gsfusion_nb.work import PeakMemory
 
 
 @pytest.fixture
 def small(monkeypatch):
-    monkeypatch.setattr(raster, "COUNTS", (200, 300))
-    monkeypatch.setattr(raster, "SIZES", ((64, 48),))
-    monkeypatch.setattr(tsdf, "VOXEL_SIZES_M", (0.08, 0.04))
+    monkeypatch.setattr(run, "COUNTS", (200, 300))
+    monkeypatch.setattr(run, "SIZES", ((64, 48),))
+    monkeypatch.setattr(run, "VOXEL_SIZES_M", (0.08, 0.04))
     monkeypatch.setattr(BenchOptions, "budget_s", 0.0)
 
 
@@ -37,13 +36,9 @@ def test_all_sections(small, tmp_path, capsys):
     assert (numbers["interrupted"], numbers["machine"]["threads"]) == (False, 1)
     rows = {name: [row for row in numbers["rows"] if row["section"] == name] for name in SECTIONS}
     assert all(rows.values())
-    assert {"torch", "numba"} <= {row["method"] for row in rows["raster"]}
+    assert "numba" in {row["method"] for row in rows["raster"]}
     for row in rows["raster"]:
         assert row["timing"]["wall_ms"] > 0
-        assert (row["speed"] == 1.0) == (row["method"] == "torch")
-        if row["method"] != "torch":
-            assert row["values"]["psnr_to_torch_db"] > 80
-            assert row["values"].get("least_gradient_cosine", 1.0) > 0.9999
     fused = [row["values"] for row in rows["tsdf"] if "blocks" in row["values"]]
     assert all(values["blocks"] == fused[0]["blocks"] > 0 for values in fused)
     assert any(row["case"].endswith(" / raycast") for row in rows["tsdf"])
@@ -52,30 +47,15 @@ def test_all_sections(small, tmp_path, capsys):
 
 
 def test_ctrl_c_keeps_what_was_measured(monkeypatch, tmp_path, capsys):
-    def cases(options):
-        row = BenchRow(section="raster", case="a", method="m", timing=summary([Lap(1.0, 1.0)]))
-        yield BenchCase(section="raster", title="a", run=lambda: [row])
-        yield BenchCase(section="raster", title="b", run=_interrupt)
-
-    def _interrupt():
+    def rows(options):
+        yield BenchRow(section="raster", case="a", method="m", timing=summary([Lap(1.0, 1.0)]))
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(run.CASES, "raster", cases)
+    monkeypatch.setitem(run.SECTIONS, "raster", ("", rows))
     path = tmp_path / "b.json"
     assert run.main(BenchOptions(what="raster", json=str(path))) == 130
     assert "| a " in capsys.readouterr().out
     assert json.loads(path.read_text())["interrupted"]
-
-
-def test_speed_is_relative_to_the_first_row_of_the_case():
-    def row(method, cpu_ms, wall_ms, case="a", device_ms=None):
-        timing = Timing(wall_ms=wall_ms, cpu_ms=cpu_ms, runs=3, peak_mb=12.4, device_ms=device_ms)
-        return BenchRow(section="raster", case=case, method=method, timing=timing)
-
-    rows = [row("reference", 1100.0, 1100.0), row("numba", 61.25, 122.5), row("torch", 33.0, 33.0, "b")]
-    rows += [row("cuda", 1.0, 9.0, "b", 3.3)]
-    assert [r.speed for r in run.with_speed(rows, threads=1)] == pytest.approx([1, 1100 / 61.25, 1, 10])
-    assert run.with_speed(rows, threads=2)[1].speed == pytest.approx(1100 / 122.5)
 
 
 def test_medians_by_hand():

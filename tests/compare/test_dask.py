@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -10,11 +9,10 @@ import time
 
 import pytest
 
-from gsfusion_nb.compare.executors import InProcesses, NoWorkerError, OnDask, do_task
+from gsfusion_nb.compare.executors import on_dask
 from gsfusion_nb.compare.map_scene import Entry
 from gsfusion_nb.compare.run_all import ResultStore, run_all
 from gsfusion_nb.compare.spec import MEASURED
-from gsfusion_nb.work import WorkerPool
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Dask warns of what it does to its workers
 
@@ -25,15 +23,15 @@ def distributed():
 
 
 def numbers(result):
-    return {k: v for k, v in result.metrics.items() if k not in MEASURED}, result.per_view, result.map_hash
+    return {k: v for k, v in result.metrics.items() if k not in MEASURED}, result.map_hash
 
 
 def test_a_cluster_gives_the_numbers_of_this_process(distributed, spec, tmp_path):
     entries = [Entry(spec=spec("uniform")), Entry(spec=spec("nonsense"))]
-    here = dict(run_all(entries, ResultStore(tmp_path / "a", tmp_path / "cache a")))
+    here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
     cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
-        there = dict(run_all(entries, ResultStore(tmp_path / "b", tmp_path / "cache b"), OnDask(client)))
+        there = dict(run_all(entries, ResultStore(tmp_path / "cache b"), on_dask(client)))
     assert numbers(there[0]) == numbers(here[0])
     assert there[1].reason == here[1].reason != ""
 
@@ -41,11 +39,11 @@ def test_a_cluster_gives_the_numbers_of_this_process(distributed, spec, tmp_path
 @pytest.mark.slow
 def test_a_worker_that_is_killed_changes_no_number(distributed, spec, tmp_path):
     entries = [Entry(spec=spec(rule, seed=seed)) for rule in ("uniform", "gsfusion", "dense") for seed in range(4)]
-    here = dict(run_all(entries, ResultStore(tmp_path / "a", tmp_path / "cache a")))
+    here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
     cluster = distributed.LocalCluster(n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
         victim, there = client.run(os.getpid).popitem()[1], {}
-        for i, result in run_all(entries, ResultStore(tmp_path / "b", tmp_path / "cache b"), OnDask(client)):
+        for i, result in run_all(entries, ResultStore(tmp_path / "cache b"), on_dask(client)):
             there[i] = result
             if len(there) == 2:
                 os.kill(victim, signal.SIGKILL)
@@ -92,7 +90,7 @@ def test_two_workers_with_caches_of_their_own_compute_what_this_process_computes
     distributed, spec, tmp_path, started, scheduler
 ):
     entries = [Entry(spec=spec(rule, seed=seed)) for rule in ("uniform", "gsfusion", "edge_strokes") for seed in (0, 1)]
-    here = dict(run_all(entries, ResultStore(tmp_path / "a", tmp_path / "cache a")))
+    here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
     for name in ("one", "two"):
         cache = tmp_path / f"cache of {name}"
         started(
@@ -101,58 +99,12 @@ def test_two_workers_with_caches_of_their_own_compute_what_this_process_computes
             GSFUSION_CACHE=str(cache),
             XDG_CACHE_HOME=str(cache),
         )
-    empty = ResultStore(tmp_path / "b", tmp_path / "cache b")
+    empty = ResultStore(tmp_path / "cache b")
     assert not any(file.is_file() for file in (tmp_path / "cache b").rglob("*"))
     with distributed.Client(scheduler) as client:
         client.wait_for_workers(2, timeout=120)
-        where = OnDask(client)
-        there = dict(run_all(entries, empty, where))
-        done = {event["number"]: event["worker"] for _, event in client.get_events(where.topic)}
-        processes = client.run(os.getpid)
-    assert sorted(done) == list(range(6))  # each run was begun on a worker, and both workers had some
-    assert set(done.values()) == set(processes)
-    assert len({*processes.values(), os.getpid()}) == 3
+        there = dict(run_all(entries, empty, on_dask(client)))
+        assert len({*client.run(os.getpid).values(), os.getpid()}) == 3
     assert not list(tmp_path.glob("cache of */**/results/*"))  # where a copied result would have come from
     assert [there[i].reason for i in range(6)] == [""] * 6
     assert {i: numbers(r) for i, r in there.items()} == {i: numbers(r) for i, r in here.items()}
-
-
-@pytest.mark.slow
-def test_a_run_that_hangs_fails_and_the_others_are_done(distributed, spec, tmp_path):
-    file = tmp_path / "hangs.py"
-    file.write_text("import time\n\n\ndef hangs(ctx):\n    while True:\n        time.sleep(0.1)\n")
-    stuck = Entry(spec=spec(f"{file}:hangs", rule_source=file.read_text()))
-    entries = [stuck, Entry(spec=spec("uniform"))]
-    store = ResultStore(tmp_path / "a", tmp_path / "cache a")
-    with WorkerPool(do_task, 1) as pool:
-        found = dict(run_all(entries, store, InProcesses(pool, limit_s=40.0)))
-    assert ("longer than" in found[0].reason, found[1].reason) == (True, "")
-    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None)
-    with cluster, distributed.Client(cluster) as client:
-        store = ResultStore(tmp_path / "b", tmp_path / "cache b")
-        found = dict(run_all(entries, store, OnDask(client, limit_s=40.0)))
-    assert ("longer than" in found[0].reason, found[1].reason) == (True, "")
-
-
-@pytest.mark.slow
-def test_a_cluster_that_loses_its_last_worker_ends_with_a_sentence(distributed, spec, tmp_path):
-    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None)
-    with cluster, distributed.Client(cluster) as client:
-        runs = run_all([Entry(spec=spec())], ResultStore(tmp_path / "a", tmp_path / "cache a"), Lost(client, cluster))
-        with pytest.raises(NoWorkerError, match=re.escape(client.scheduler.address)):
-            list(runs)
-
-
-class Lost(OnDask):
-    """A cluster whose only worker goes before it has begun a task."""
-
-    def __init__(self, client, cluster):
-        super().__init__(client, no_worker_s=2.0)
-        self._cluster = cluster
-
-    def put(self, number, task):
-        self._check_workers()
-        self._cluster.scale(0)
-        while self._client.scheduler_info()["workers"]:
-            time.sleep(0.1)
-        super().put(number, task)

@@ -4,9 +4,9 @@ import time
 
 import pytest
 
-from gsfusion_nb.compare import Budget, live_table
+from gsfusion_nb.compare import Budget
 from gsfusion_nb.compare.entries import Entrant, entries_of
-from gsfusion_nb.compare.live_table import LiveRuns, LiveTable
+from gsfusion_nb.compare.live_table import LiveTable
 from gsfusion_nb.compare.map_scene import Entry
 from gsfusion_nb.compare.run_all import ResultStore
 from gsfusion_nb.viz.display import WIDGET_MIME
@@ -27,7 +27,7 @@ def specs(spec):
 
 @pytest.fixture
 def live(specs, tmp_path, cache):
-    live = LiveTable(specs, ResultStore(tmp_path, cache))
+    live = LiveTable(specs, tmp_path, store=ResultStore(cache))
     yield live
     live.close()
 
@@ -39,44 +39,37 @@ def wait_for(condition, timeout_s=20.0):
         time.sleep(0.005)
 
 
-def rows(live):
-    return {row["label"]: row for row in live.widget_table.content["rows"]}
-
-
 def test_rows_appear_as_runs_end(live):
-    assert rows(live) == {}
+    assert "uniform" not in live.tables.value
     assert live.run_sync(1) == 1
-    assert rows(live)["uniform"]["state"] == "1 of 2 runs"
+    assert "uniform</th>" in live.tables.value
     assert "1 of 4 runs" in live.status.value
     assert live.run_sync() == 3
-    assert set(rows(live)) == {"uniform", "quadtree", "dense stride=-1"}
-    assert rows(live)["uniform"]["state"] == ""
-    assert rows(live)["uniform"]["cells"][0]["sd"]
-    assert rows(live)["dense stride=-1"]["state"] == "0 of 1 runs, 1 failed"
-    assert "dense stride=-1, seed 0: " in live.failed.value
+    assert all(f"{name}</th>" in live.tables.value for name in ("uniform", "quadtree", "dense stride=-1"))
+    assert " ± " in live.tables.value
+    assert "dense stride=-1, wall, own size, own steps, seed 0 failed: " in live.tables.value
     assert "<b>finished</b>" in live.status.value
-    assert [head["name"] for head in live.widget_table.content["heads"]][:2] == ["rule", "PSNR held out, dB"]
     assert repr(live).startswith("LiveTable(4 of 4 runs, 1 failed: TypeError: seeding rule 'dense' has no options")
 
 
-def test_a_click_on_a_row_shows_its_pictures(live):
+def test_the_pictures_of_a_rule(live):
     live.run_sync()
-    live.widget_table.selected = "quadtree"
+    live.rule.value = "quadtree"
     assert live.pictures.value.count("<img") == 6
     assert 'alt="View 2 as rendered by quadtree"' in live.pictures.value
-    live.widget_table.selected = ""
+    live.rule.value = ""
     assert live.pictures.value == ""
 
 
 def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
-    live = LiveTable(specs, ResultStore(tmp_path, tmp_path / "cache"))  # nothing is known yet
+    live = LiveTable(specs, tmp_path, store=ResultStore(tmp_path / "cache"))  # nothing is known yet
     live.start()
-    wait_for(lambda: "frame" in live._runs.now)
+    wait_for(lambda: "frame" in live._now)
     live.pause()
     wait_for(lambda: "<b>paused</b>" in live.status.value)
-    n, now = len(live.results), live._runs.now
+    n, now = len(live.results), live._now
     time.sleep(0.1)
-    assert (len(live.results), live._runs.now) == (n, now)
+    assert (len(live.results), live._now) == (n, now)
     live.stop()
     assert live.join(20)
     assert "<b>stopped</b>" in live.status.value
@@ -90,35 +83,16 @@ def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
 def test_another_table_stops_this_one_and_finds_its_results(live, specs, cache, tmp_path):
     live.run_sync(2)
     live.start()
-    again = LiveTable(specs, ResultStore(tmp_path / "other", cache))
+    again = LiveTable(specs, tmp_path / "other", store=ResultStore(cache))
     assert live.join(20)
     assert again.run_sync(2) == 2
     assert [r.map_hash for r in again.results] == [r.map_hash for r in live.results[:2]]
-
-
-def test_a_reason_is_said_once_for_all_seeds(spec, tmp_path, cache):
-    own = Budget(steps="own")
-    made = [spec("dense", options={"stride": -1}, seed=seed, budget=own) for seed in (0, 1)]
-    live = LiveTable(made, ResultStore(tmp_path, cache))
-    live.run_sync()
-    assert live.failed.value.startswith("dense stride=-1, seeds 0, 1: ")
-    assert "<br>" not in live.failed.value
 
 
 def test_step_does_one_run(live):
     live.step()
     wait_for(lambda: live.player.state == "paused")
     assert len(live.results) == 1
-
-
-def test_the_menus_choose_scene_and_budget(spec, tmp_path, cache):
-    made = [spec("uniform", budget=Budget(steps="own")), spec("uniform", budget=Budget())]
-    live = LiveTable(made, ResultStore(tmp_path, cache))
-    live.run_sync(1)
-    assert set(rows(live)) == {"uniform"}
-    live.budget.value = "own size, equal steps"
-    assert rows(live) == {}
-    assert live.widget_table.content["title"] == "wall, own size, equal steps"
 
 
 def test_a_stored_notebook_has_table_and_picture(live, monkeypatch):
@@ -132,23 +106,15 @@ def test_a_stored_notebook_has_table_and_picture(live, monkeypatch):
     assert bundle["text/plain"] == repr(live)
 
 
-def test_interrupting_the_kernel_keeps_what_is_done(specs, tmp_path, cache, monkeypatch):
-    runs = LiveRuns(specs[:2], ResultStore(tmp_path, tmp_path / "cache"))
-    next(runs)
-    monkeypatch.setattr(runs, "_on_frame", lambda: (_ for _ in ()).throw(KeyboardInterrupt))
-    with pytest.raises(KeyboardInterrupt):
-        next(runs)
-    monkeypatch.undo()
-    assert sum(result is not None for result in runs) == 1
-    assert len(runs.results) == 2
-
-
-def test_the_results_so_far_are_written_beside_them(live, tmp_path, monkeypatch):
-    calls = []
-    monkeypatch.setattr(live_table, "write_outputs", lambda *arguments: calls.append(arguments) or [])
+def test_interrupting_the_kernel_keeps_what_is_done(specs, tmp_path, monkeypatch):
+    live = LiveTable(specs[:2], tmp_path, store=ResultStore(tmp_path / "cache"))
     live.run_sync(1)
-    live.write()
-    assert calls == [(tmp_path, live.results)]
+    monkeypatch.setattr(live._go, "wait", lambda: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        live.run_sync()
+    monkeypatch.undo()
+    assert live.run_sync() == 1
+    assert {path.name for path in live.write()} >= {"table.md", "page.html"}
 
 
 def test_all_combinations():
@@ -165,7 +131,7 @@ def test_all_combinations():
     assert entries[2].spec.rule_hash
     assert not entries[0].spec.rule_hash
     assert entries[0].spec.settings == {"sh_degree": 0}
-    with pytest.raises(ValueError, match="got uniform twice; give one of them a label"):
+    with pytest.raises(ValueError, match="uniform"):
         entries_of(["uniform", "uniform"])
     with pytest.raises(KeyError, match="unifrom"):
         entries_of(["unifrom"])
@@ -198,11 +164,10 @@ def test_settings_and_open_frames_of_a_notebook(specs, tmp_path, cache):
     assert [e.spec.scene for e in entries] == ["wall"] * 4
     assert entries[0].spec.config().tsdf == config.tsdf
     assert entries[1].spec.config().seed == 1
-    live = LiveTable(entries, ResultStore(tmp_path, cache))
+    live = LiveTable(entries, tmp_path, store=ResultStore(cache))
     assert live.run_sync(1) == 1
-    assert rows(live)["uniform"]["state"] == "1 of 2 runs"
     assert repr(live) == "LiveTable(1 of 4 runs)"
     by_name = entries_of(["uniform"], [specs[0].data], seeds=[0], budgets=[Budget(steps="own")], config=config)
-    again = LiveTable(by_name, ResultStore(tmp_path / "by_name", cache))
+    again = LiveTable(by_name, tmp_path / "by_name", store=ResultStore(cache))
     again.run_sync()
     assert again.results[0].map_hash == live.results[0].map_hash

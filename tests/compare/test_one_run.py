@@ -1,15 +1,13 @@
 """One run of the lab: equal steps for every rule, budgets that are reached, failures as rows, equal numbers."""
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import pytest
-import torch
 
 from gsfusion_nb.compare import Budget, RunSpec
-from gsfusion_nb.compare.map_scene import Entry, Mapped
+from gsfusion_nb.compare.map_scene import Entry
 from gsfusion_nb.compare.one_run import run_entry, run_spec
 from gsfusion_nb.compare.schedule import EQUAL_KEYFRAME_EVERY
 from gsfusion_nb.compare.spec import MEASURED
@@ -36,14 +34,6 @@ class brings_settings(MapRule):
         return ctx.seeds_at(ctx.pixels()[::9], 1.0)
 
 
-def forgets_the_pose(ctx):
-    seeds = ctx.seeds_at(ctx.pixels()[::9], 1.0)
-    xyz_W = seeds.xyz_W.clone()
-    xyz_W[:, 2] -= 2 * (torch.arange(len(xyz_W)) < 3)  # behind the camera
-    xyz_W[3, 0] += 50.0  # beside it
-    return dataclasses.replace(seeds, xyz_W=xyz_W)
-
-
 def nothing(ctx):
     return ctx.seeds_at(ctx.pixels()[:0], 1.0)
 
@@ -51,7 +41,7 @@ def nothing(ctx):
 def same_numbers(a, b):
     numbers = [{k: v for k, v in r.metrics.items() if k not in MEASURED} for r in (a, b)]
     assert numbers[0] == numbers[1]
-    assert (a.per_view, a.map_hash) == (b.per_view, b.map_hash)
+    assert a.map_hash == b.map_hash
 
 
 def test_every_rule_takes_the_same_steps(spec):
@@ -74,12 +64,6 @@ def test_a_rule_without_seeds_has_fewer_steps_and_says_so(spec):
     assert result.notes == ["after 5 of 5 frames the map was empty, so no gradient steps were taken"]
 
 
-def test_seeds_out_of_view_are_noted(spec):
-    result = run_entry(Entry(spec=spec("forgets_the_pose", rule_hash="x"), rule=forgets_the_pose))
-    assert result.status == "done"
-    assert result.notes == ["20 of 960 seeds lay outside the view of the camera, 15 of them behind it"]
-
-
 def test_what_a_result_holds(spec, tmp_path):
     result = run_spec(spec("gsfusion"), tmp_path)
     expected = {
@@ -88,8 +72,6 @@ def test_what_a_result_holds(spec, tmp_path):
         "cpu_ms_per_frame", "seeding_ms", "seconds_total",
     }  # fmt: skip
     assert expected <= set(result.metrics)
-    assert [len(result.per_view[f"psnr_{name}_db"]) for name in ("held_out", "mapped")] == [2, 5]
-    assert sum(result.per_view["psnr_held_out_db"]) / 2 == pytest.approx(result.metrics["psnr_held_out_db"])
     assert set(result.pictures) == {"held_out 2", "truth 2", "held_out 6", "truth 6"}
     assert all((tmp_path / name).is_file() for name in result.pictures.values())
     assert "def gsfusion(ctx" in result.rule_source
@@ -121,15 +103,6 @@ def test_a_number_of_gaussians_is_reached(spec, rule, changes, option):
     assert result.tuned["option"] == option
     assert result.tuned["error_percent"] == pytest.approx(100 * abs(result.metrics["n_gaussians"] / 150 - 1))
     assert result.spec.label == rule.rpartition(":")[2]
-
-
-def test_a_time_is_reached_by_steps_per_frame(spec, monkeypatch):
-    monkeypatch.setattr(Mapped, "seconds", property(lambda self: 0.2 + 0.01 * self.n_steps))
-    result = run_spec(spec("uniform", budget=Budget(seconds=1.0)))
-    assert (result.status, result.reason) == ("done", "")
-    assert 0.2 + 0.01 * result.metrics["n_steps"] == pytest.approx(1, rel=0.05)
-    assert result.tuned["steps_per_frame"] > 2
-    assert result.tuned["seconds_error_percent"] <= 5
 
 
 def faulty(ctx, *, n=3):

@@ -28,7 +28,7 @@ def test_a_run_is_plain_values_and_comes_back():
     assert RunSpec.from_json(json.loads(json.dumps(SPEC.to_json()))) == SPEC
     assert SPEC.label == "uniform fraction=0.1"
     assert str(SPEC.budget) == "4,000 Gaussians, equal steps"
-    with pytest.raises(KeyError, match="no field of a run 'sede'"):
+    with pytest.raises(TypeError, match="sede"):
         changed(sede=3)
 
 
@@ -73,9 +73,8 @@ def test_an_edited_rule_of_a_notebook_has_another_key():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"gaussians": 0}, "budget.gaussians must be between 1"),
-        ({"seconds": 0.0}, "budget.seconds must be > 0"),
-        ({"tolerance": 0.9}, "budget.tolerance must be between"),
+        ({"gaussians": 0}, "budget.gaussians"),
+        ({"tolerance": 0.9}, "budget.tolerance"),
     ],
 )
 def test_a_budget_that_means_nothing_is_refused(values, message):
@@ -86,12 +85,12 @@ def test_a_budget_that_means_nothing_is_refused(values, message):
 def test_a_result_is_written_and_read_back(tmp_path):
     result = RunResult(
         spec=SPEC, status="done", metrics={"psnr_held_out_db": 21.5, "ssim_held_out": float("nan")},
-        per_view={"psnr_held_out_db": [21.0, 22.0]}, tuned={"option": "fraction", "value": 0.03}, map_hash="ab",
+        tuned={"option": "fraction", "value": 0.03}, map_hash="ab",
     )  # fmt: skip
     result.save(tmp_path / "a.json")
     back = RunResult.load(tmp_path / "a.json")
     assert back.metrics == {"psnr_held_out_db": 21.5}
-    assert (back.spec, back.per_view, back.tuned, back.key) == (SPEC, result.per_view, result.tuned, SPEC.key)
+    assert (back.spec, back.tuned, back.key) == (SPEC, result.tuned, SPEC.key)
     (tmp_path / "a.json").write_text('{"spec": {}}')
     with pytest.raises(ValueError, match="is not the result of a run"):
         RunResult.load(tmp_path / "a.json")

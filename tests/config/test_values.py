@@ -6,25 +6,22 @@ from typing import Literal
 import pytest
 
 from gsfusion_nb.config import from_dict, replace, to_dict
-from gsfusion_nb.config.values import check_kinds
+from gsfusion_nb.config.values import Settings, positive, within
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inner:
-    sizes: tuple[int, ...] = (1, 2)
-    share: float | None = 0.5
+class Inner(Settings):
+    sizes: tuple[int, ...] = within((1, 2), 1)
+    share: float | None = positive(0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Group:
+class Group(Settings, group="group"):
     word: Literal["left", "right"] = "left"
     count: int = 3
     switch: bool = False
     rate: float = 0.1
     inner: Inner = field(default_factory=Inner)
-
-    def __post_init__(self):
-        check_kinds("group", self)
 
 
 @pytest.mark.parametrize(
@@ -35,11 +32,13 @@ class Group:
         ({"count": True}, "group.count must be a whole number, got True"),
         ({"switch": 1}, "group.switch must be True or False, got 1"),
         ({"switch": "no"}, "group.switch must be True or False, got 'no'"),
+        ({"inner": {"sizes": [3, 0]}}, "sizes must be >= 1, got 0"),
+        ({"inner": {"share": -0.5}}, "share must be > 0, got -0.5"),
     ],
 )
 def test_wrong_kinds_are_refused(override, message):
     with pytest.raises(ValueError, match=message):
-        Group(**override)
+        from_dict(Group, override)
 
 
 def test_layers_of_settings():

@@ -1,5 +1,5 @@
-"""What the function of every exercise becomes in the library, or why it becomes nothing: the solution in the place of a
-piece gives what the piece gives."""
+"""What the function of every exercise becomes in the library: the solution in the
+place of a piece gives what the piece gives."""
 
 import pytest
 import torch
@@ -54,25 +54,10 @@ RUNS_AS = {
 }  # fmt: skip
 """Exercise -> operation or piece of the library that its function becomes under the backend ``mine``."""
 
-STAND_ALONE = {
-    "exam_frames", "psnr",
-    "halve_intrinsics", "invert_pose", "lift_pixels", "normals_of_points", "project_points",
-    "covariance_2d", "inverse_vjp", "pinhole_vjp", "slope", "frame_rate", "map_frame", "spread_correction",
-    "budget_cells", "pareto_rules", "raster_rule", "silhouette_rule",
-    "adam_traffic", "attainable_gflops", "average_loop", "overall_speedup",
-    "depth_factor", "pose_shift", "tell_apart",
-}  # fmt: skip
-"""Exercises whose function runs nowhere in the library; each says why in ``stands_alone``."""
 
-
-def test_every_exercise_becomes_a_piece_of_the_library_or_says_why_not():
-    known = exercises()
-    assert {name: e.becomes.operation for name, e in known.items() if e.becomes is not None} == RUNS_AS
-    assert {name for name, e in known.items() if e.stands_alone} == STAND_ALONE
-    assert RUNS_AS.keys() | STAND_ALONE == known.keys()
-    assert not RUNS_AS.keys() & STAND_ALONE
+def test_what_becomes_of_the_exercises():
+    assert {name: e.becomes.operation for name, e in exercises().items() if e.becomes is not None} == RUNS_AS
     assert set(RUNS_AS.values()) <= replaceable()
-    assert all(known[name].stands_alone.endswith(".") for name in STAND_ALONE)
 
 
 @pytest.fixture(autouse=True)

@@ -126,34 +126,10 @@ def test_every_chapter_has_its_pictures_and_no_solution(path):
     assert learner.count('"image/') == json.dumps(stored).count('"image/') >= 3
 
 
-def test_a_changed_notebook_is_never_overwritten(tmp_path, caplog):
-    source, target = tmp_path / "notebooks", tmp_path / "course"
-    newer = notebook(*CHAPTER["cells"][1:], code("1 + 1"))
-    write(source, CHAPTER)
-    mine = target / "01_x.ipynb"
-    assert [str(done) for done in hand_out(source, target)] == [f"{mine}: written"]
-    assert [done.state for done in hand_out(source, target)] == ["unchanged"]
-    write(source, newer)
-    assert [done.state for done in hand_out(source, target)] == ["renewed"]
-    mine.write_text(mine.read_text().replace("...", "return 3"))
-    work = mine.read_bytes()
-    assert [done.state for done in hand_out(source, target)] == ["unchanged"]
-    write(source, CHAPTER)
-    with caplog.at_level("INFO"):
-        main([str(source), str(target), "--learner"])
-    assert "01_x.edition2.ipynb: is a newer edition of a notebook that you have changed; yours was not" in caplog.text
-    write(source, newer)
-    assert [done.path.name for done in hand_out(source, target)] == ["01_x.edition3.ipynb"]
-    assert mine.read_bytes() == work
-    assert len(list(target.glob("*.ipynb"))) == 3
-
-
-def test_without_the_list_of_editions_everything_counts_as_changed(tmp_path):
+def test_a_notebook_that_is_there_stays(tmp_path):
     source, target = tmp_path / "notebooks", tmp_path / "course"
     write(source, CHAPTER)
-    hand_out(source, target)
-    (target / ".handed_out.json").write_text("{")
-    assert [done.state for done in hand_out(source, target)] == ["unchanged"]
-    (target / ".handed_out.json").write_text("{")
-    write(source, notebook())
-    assert [done.state for done in hand_out(source, target)] == ["beside"]
+    assert hand_out(source, target) == [target / "01_x.ipynb"]
+    (target / "01_x.ipynb").write_text("mine")
+    main([str(source), str(target), "--learner"])
+    assert (target / "01_x.ipynb").read_text() == "mine"

@@ -1,7 +1,6 @@
-"""Progress is one file: it grows, is shared by several notebooks, and is never lost."""
+"""Progress is one file: it grows, and is never lost."""
 
 import json
-import threading
 
 import pytest
 
@@ -35,7 +34,6 @@ def test_notes_are_merged_and_unknown_sections_kept(course):
         ("[]", "cannot be read"),
         ('{"format": 2}', "a newer version wrote it"),
         ("{}", "format None"),
-        ('{"format": 1, "exercises": {"psnr": 3}}', "damaged"),
     ],
 )
 def test_a_damaged_or_newer_file_is_left_as_it_is(course, text, says, capsys):
@@ -54,17 +52,6 @@ def test_a_damaged_or_newer_file_is_left_as_it_is(course, text, says, capsys):
     assert kept is not None
     assert kept.read_text() == text
     assert read_section("exercises") == {}
-
-
-def test_several_notebooks_write_at_the_same_time(course):
-    threads = [
-        threading.Thread(target=lambda: [count("exercises", "psnr", "tries") for _ in range(5)]) for _ in range(4)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert read_section("exercises")["psnr"]["tries"] == 20
 
 
 def test_a_folder_that_cannot_be_written_is_said(course, monkeypatch):

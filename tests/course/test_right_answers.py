@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from gsfusion_nb.course import exercises
-from gsfusion_nb.geometry import se3
 
 ALL = exercises()
 
@@ -24,23 +23,12 @@ def exam_frames(n, every, offset):
     return np.arange(offset, n, every)
 
 
-def project_points(camera, xyz_C):
-    K = torch.tensor([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-    uvw = xyz_C @ K.T
-    return uvw[:, :2] / uvw[:, 2:]
-
-
 def lift_pixels(camera, uv, depth_m):
     rows = [
         ((u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z)
         for (u, v), z in zip(uv, depth_m, strict=True)
     ]
     return np.array(rows, dtype=np.float64)
-
-
-def invert_pose(T):
-    R, t = T[:3, :3].T, T[:3, 3:]
-    return torch.cat([torch.cat([R, -R @ t], dim=1), T.new_tensor([[0.0, 0.0, 0.0, 1.0]])])
 
 
 def normals_of_points(points):
@@ -75,10 +63,6 @@ def morton_code(x, y, z):
     return int("".join("".join(three) for three in zip(*bits, strict=True)), 2)
 
 
-def zero_crossing(p0, p1, D0, D1):
-    return (p0 * D1[:, None] - p1 * D0[:, None]) / (D1 - D0)[:, None]
-
-
 def contrast(cell_rgb, image_pixels):
     c = cell_rgb.numpy().astype(float).reshape(-1, 3)
     return float(c.var(axis=0) @ [0.2989, 0.5870, 0.1140]) * image_pixels / 9e7
@@ -101,50 +85,6 @@ def quadtree_leaves(rgb_u8, threshold, min_cell_px):
     return torch.tensor(leaves)
 
 
-def cell_to_gaussian(camera, cell, depth_m, T_WC):
-    x0, y0, w, h = cell
-    u, v = x0 + w / 2, y0 + h / 2
-    z = float(depth_m[math.floor(v)][math.floor(u)])
-    xyz = T_WC.double() @ torch.tensor(
-        [z * (u - camera.cx) / camera.fx, z * (v - camera.cy) / camera.fy, z, 1.0], dtype=torch.float64
-    )
-    return xyz[:3].tolist(), z * math.hypot(w, h) / (2 * camera.fx)
-
-
-def covariance_2d(xyz_C, cov_C, fx, fy):
-    x, y, z = (float(c) for c in xyz_C)
-    J = np.array([[fx / z, 0, -fx * x / z / z], [0, fy / z, -fy * y / z / z]])
-    return J @ cov_C.numpy() @ J.T + np.diag([0.3, 0.3])
-
-
-def composite_pixel(alpha, rgb):
-    colour, left = np.zeros(3), 1.0
-    for a, c in zip(alpha.tolist(), rgb.numpy(), strict=True):
-        colour, left = colour + a * left * c, left * (1 - a)
-    return colour, left
-
-
-def tiles_touched(u, v, extent_px, width, height, tile_px):
-    columns = [
-        i
-        for i in range(math.ceil(width / tile_px))
-        if i * tile_px <= u + extent_px and (i + 1) * tile_px > u - extent_px
-    ]
-    rows = [
-        j
-        for j in range(math.ceil(height / tile_px))
-        if j * tile_px <= v + extent_px and (j + 1) * tile_px > v - extent_px
-    ]
-    ends = [(hit[0], hit[-1] + 1) if hit else (0, 0) for hit in (columns, rows)]
-    return np.array(ends).reshape(-1)
-
-
-def view_colour(sh, xyz_W, centre_W):
-    d = torch.nn.functional.normalize((xyz_W - centre_W).double(), dim=0)
-    Y = [0.28209479177387814, *(0.4886025119029199 * c for c in (-d[1], d[2], -d[0]))]
-    return [max(0.0, 0.5 + sum(float(y) * float(s) for y, s in zip(Y, column, strict=True))) for column in sh.T]
-
-
 def splat_alpha(dx, dy, conic, opacity):
     A, B, C = conic.tolist()
     alpha = np.minimum(
@@ -158,20 +98,6 @@ def splat_alpha(dx, dy, conic, opacity):
 def slope(loss, x, h):
     steps = h * torch.eye(len(x), dtype=x.dtype)
     return [float(loss(x + e) - loss(x - e)) / (2 * h) for e in steps]
-
-
-def l1_gradient(rgb, target):
-    return ((rgb > target).double() - (rgb < target).double()) / rgb.numel()
-
-
-def pinhole_vjp(xyz_C, fx, fy, v_uv):
-    x, y, z = xyz_C.tolist()
-    J = np.array([[fx / z, 0, -fx * x / z**2], [0, fy / z, -fy * y / z**2]])
-    return J.T @ v_uv.numpy()
-
-
-def inverse_vjp(Q, v_Q):
-    return -torch.einsum("ki,kl,jl->ij", Q, v_Q, Q)
 
 
 def blend_vjp(alpha, rgb, v_colour):
@@ -211,35 +137,11 @@ def frame_rate(seconds):
     return 1 / np.mean(seconds)
 
 
-def plan_frame(n_seeds, n_keyframes, m, n, r, min_seeds):
-    return [n_seeds > min_seeds, *([m, 0] if n_seeds > min_seeds else [n, r if r < n_keyframes else n_keyframes])]
-
-
 def draw_keyframes(n_keyframes, count, generator):
     left, drawn = list(range(n_keyframes)), []
     while left and len(drawn) < count:
         drawn.append(left.pop(int(torch.randint(len(left), (), generator=generator))))
     return drawn
-
-
-def disc_hit(r, p, n):
-    d = r / np.linalg.norm(r)
-    cosine = float(d @ n)
-    return float(p[2]) if abs(cosine) < math.cos(math.radians(60)) else float(p @ n) / cosine * float(d[2])
-
-
-def adding_masks(T, D_map, D, C_map, C):
-    new = torch.logical_or(T > 0.5, torch.abs(D_map - D) > 0.1)
-    off = torch.sum(torch.abs(C_map - C), dim=-1) > 0.3
-    return torch.logical_and(new, D > 0), off & ~new & (D > 0)
-
-
-def next_state(stable, eta, errors, age):
-    if stable and errors > 10:
-        return "becomes unstable"
-    if not stable and eta > 100:
-        return "becomes stable"
-    return "is deleted" if not stable and age > 120 else "stays"
 
 
 def fuse(before, after, eta_before, eta_after):
@@ -249,36 +151,9 @@ def fuse(before, after, eta_before, eta_after):
     return torch.stack(rows)
 
 
-def point_to_plane(p, q, n):
-    r = torch.einsum("ni,ni->n", p - q, n)
-    return r, torch.stack([torch.cat([n_k, torch.linalg.cross(p_k, n_k)]) for p_k, n_k in zip(p, n, strict=True)])
-
-
-def gauss_newton(T_WC, r, J):
-    return se3.exp(torch.linalg.lstsq(J, -r[:, None]).solution[:, 0]) @ T_WC
-
-
-def predict(T_before, T_last):
-    return T_last @ torch.linalg.solve(T_before, T_last)
-
-
-def spread_correction(poses, T_loop):
-    change = se3.log(T_loop @ se3.inverse(poses[-1]))
-    return torch.stack([se3.exp(k / (len(poses) - 1) * change) @ pose for k, pose in enumerate(poses)])
-
-
 def pareto_rules(n_gaussians, psnr_db):
     rules = list(zip(n_gaussians.tolist(), psnr_db.tolist(), strict=True))
     return [not any(a <= n and b >= db and (a, b) != (n, db) for a, b in rules) for n, db in rules]
-
-
-def overall_speedup(seconds, stage, factor):
-    share = seconds[stage] / sum(seconds.values())
-    return 1 / (1 - share + share / factor)
-
-
-def attainable_gflops(intensity, peak_gflops, gb_per_s):
-    return peak_gflops if intensity >= peak_gflops / gb_per_s else intensity * gb_per_s
 
 
 def adam_traffic(n):

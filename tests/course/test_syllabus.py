@@ -31,7 +31,7 @@ def test_every_exercise_is_a_learning_goal_of_its_chapter():
     page = (ROOT / "docs/teaching/goals.md").read_text(encoding="utf-8")
     parts = re.split(r"^## Chapter (\d+), ", page, flags=re.M)[1:]
     goals = {
-        int(n): set(re.findall(r"\| `(\w+)` \|$", text, re.M)) for n, text in zip(parts[::2], parts[1::2], strict=True)
+        int(n): set(re.findall(r"\(`(\w+)`\)$", text, re.M)) for n, text in zip(parts[::2], parts[1::2], strict=True)
     }
     for chapter in {e.chapter for e in exercises().values()}:
         assert goals.get(chapter) == {e.name for e in exercises().values() if e.chapter == chapter}

@@ -1,18 +1,16 @@
 """Any change in what a run reads changes the fingerprint, also in the middle of a file and behind a link."""
 
-import importlib.util
 import os
+import runpy
 import shutil
 from pathlib import Path
 
 import pytest
 
-from gsfusion_nb import files as hashes
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import apply_options, data_files, open_sequence, sequence_fingerprint
 from gsfusion_nb.data.room import room
-from gsfusion_nb.files import file_hashes
-from gsfusion_nb.foreign import noting_files
+from gsfusion_nb.files import noting_files
 
 READERS = Path(__file__).parent / "readers"
 
@@ -62,35 +60,13 @@ def test_what_is_not_read_does_not_matter(wall):
     assert fingerprint_of(wall.parent / "moved") == before
 
 
-def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
-    hashed, plain = [], hashes._hash
-    monkeypatch.setattr(hashes, "_hash", lambda path: hashed.append(path) or plain(path))
-    file, link = wall / "rgb/000000.png", wall / "link.png"
-    link.symlink_to(file)
-    first = file_hashes([file, link])
-    assert len(set(first.values())) == 1
-    assert len(hashed) == 2
-    file_hashes([file])
-    assert len(hashed) == 3  # changed less than two seconds ago: a second change might have the same time
-    monkeypatch.setattr(hashes, "_SETTLED_NS", -(10**18))
-    assert file_hashes([file]) == file_hashes([file]) == {str(file): first[str(file)]}
-    assert len(hashed) == 4
-    flip(file, 50)
-    assert file_hashes([file, wall / "none"]).values() != first.values()
-    assert len(hashed) == 5
-    assert file_hashes([wall / "none", wall]) == dict.fromkeys([str(wall / "none"), str(wall)], hashes.UNREADABLE)
-
-
 @pytest.mark.parametrize("layout", ["folder", "replica", "scannetpp", "seven_scenes"])
 def test_every_file_that_a_reader_opens_is_noted(tmp_path, layout, scene, box):
     """Also those beside or above the folder, such as the camera of all scenes of Replica."""
     root = scene
     if layout != "folder":
-        spec = importlib.util.spec_from_file_location("written", READERS / f"test_{layout}.py")
-        tests = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(tests)
         root = tmp_path / "data/scene"
-        tests.write(root, box)
+        runpy.run_path(str(READERS / f"test_{layout}.py"))["write"](root, box)
     with noting_files() as opened:
         sequence = open_sequence(root, format=layout)
         assert [frame.index for frame in sequence.mapping] != []

@@ -11,9 +11,9 @@ from gsfusion_nb.data import (
     SequenceNotFoundError,
     apply_options,
     detect_layout,
-    layouts,
     open_sequence,
 )
+from gsfusion_nb.data.open import known_layouts
 from gsfusion_nb.types import Camera, Frame
 
 
@@ -117,7 +117,7 @@ def test_detection_lists_what_was_looked_for(tmp_path, box):
         open_sequence(tmp_path)
     message = str(caught.value)
     assert "fits no known layout; looked for" in message
-    for name in layouts():
+    for name in known_layouts():
         assert name in message
     root = box.folder(tmp_path / "scan")
     assert detect_layout(root) == "folder"
@@ -132,8 +132,12 @@ def test_wrong_paths_and_names(tmp_path, box):
     root = box.folder(tmp_path / "scan")
     with pytest.raises(KeyError, match="kitti"):
         open_sequence(root, format="kitti")
-    for path in (root, "room"):
-        with pytest.raises(SequenceError, match="split 'test'"):
-            open_sequence(path, split="test")
     with pytest.raises(SequenceNotFoundError, match=r"traj\.txt"):
         open_sequence(root, format="replica")
+
+
+def test_who_gives_a_bag_to_map_is_sent_to_convert(tmp_path):
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0")
+    for path in (tmp_path / "a.bag", tmp_path):
+        with pytest.raises(SequenceError, match=r"gsfusion-nb convert"):
+            open_sequence(path)

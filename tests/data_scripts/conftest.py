@@ -129,12 +129,6 @@ def writer():
 
 
 @pytest.fixture
-def copied_scene():
-    """The module that writes a ScanNet++ scene as it is handed out."""
-    return load(TESTS / "recordings/convert/test_scannetpp_scene.py")
-
-
-@pytest.fixture
 def files():
     """``files(root, "inside")``: the files below ``root`` by their path in an archive."""
 

@@ -134,17 +134,9 @@ def test_icl_nuim(icl, site, tmp_path, box, capsys):
     assert all(entry["published"].startswith("md5:") for entry in files)
 
 
-def test_icl_nuim_poses_go_to_images_by_number(icl, site, tmp_path, box, capsys):
-    """Of an archive without its middle image, or a log without a pose, no later pose is shifted."""
+def test_icl_nuim_poses_go_to_images_by_number(icl, site, tmp_path, capsys):
+    """Of a log without a pose, no later pose is shifted."""
     log = site.files["/livingroom1-traj.txt"].decode().splitlines()
-    out = tmp_path / "data"
-    assert run(icl, site, out, "livingroom1-clean") == 0
-    folder = out / "icl_nuim/livingroom1-clean"
-    for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
-        (folder / f"{kind}/00001.{suffix}").unlink()
-    sequence = open_sequence(folder)
-    assert len(sequence) == 2
-    assert all(box.off_wall_m(frame) < 0.0005 for frame in sequence)
     content = "\n".join([*log[:5], *log[10:], ""]).encode()
     site.files["/livingroom1-traj.txt"] = content
     icl.MD5["livingroom1-traj.txt"] = hashlib.md5(content).hexdigest()

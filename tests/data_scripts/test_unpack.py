@@ -1,8 +1,5 @@
 """Unpacking archives, also such as mean harm."""
 
-import io
-import tarfile
-
 import pytest
 
 from gsfusion_nb.recordings.fetch import ArchiveError, unpack
@@ -24,9 +21,9 @@ def made(request, tmp_path, archives):
 
 def test_all_files_or_chosen_ones_come_out(made):
     archive, folder = made(GOOD)
-    assert unpack(archive, folder, max_bytes=1000) == 3
+    assert unpack(archive, folder) == 3
     assert {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()} == GOOD
-    assert unpack(archive, folder / "b", choose=lambda n: "one" if n.endswith("b.bin") else None, max_bytes=1000) == 1
+    assert unpack(archive, folder / "b", choose=lambda n: "one" if n.endswith("b.bin") else None) == 1
     assert [p.name for p in (folder / "b").iterdir()] == ["one"]
 
 
@@ -34,35 +31,21 @@ def test_all_files_or_chosen_ones_come_out(made):
 def test_nothing_is_written_outside_of_the_folder(made, name, tmp_path):
     archive, folder = made(GOOD | {name: b"harm"})
     with pytest.raises(ArchiveError, match="outside"):
-        unpack(archive, folder, max_bytes=1000)
+        unpack(archive, folder)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["new", "some.archive"]
 
 
 def test_links_are_left_out(made):
     archive, folder = made(GOOD | {"set/link": b"/etc/passwd"}, links=("set/link",))
-    assert unpack(archive, folder, max_bytes=1000) == 3
+    assert unpack(archive, folder) == 3
     assert not (folder / "set/link").exists()
 
 
-def test_archives_that_are_too_large_damaged_or_empty_are_refused(made):
+def test_archives_that_are_damaged_or_empty_are_refused(made):
     archive, folder = made(GOOD)
-    with pytest.raises(ArchiveError, match="300 bytes"):
-        unpack(archive, folder / "large", max_bytes=300)
     with pytest.raises(ArchiveError, match="none of the expected"):
-        unpack(archive, folder / "none", choose=lambda name: None, max_bytes=1000)
-    with pytest.raises(ArchiveError, match="two files"):
-        unpack(archive, folder / "same", choose=lambda name: "one", max_bytes=1000)
+        unpack(archive, folder / "none", choose=lambda name: None)
     for content in (archive.read_bytes()[: archive.stat().st_size // 2], b"", b"no archive"):
         archive.write_bytes(content)
         with pytest.raises(ArchiveError, match="damaged"):
-            unpack(archive, folder / str(len(content)), max_bytes=1000)
-
-
-@pytest.mark.parametrize("kind", [tarfile.GNUTYPE_LONGNAME, tarfile.XHDTYPE])
-def test_a_header_that_would_fill_the_memory_is_refused(tmp_path, kind):
-    with tarfile.open(tmp_path / "a.tgz", "w:gz") as tar:
-        header = tarfile.TarInfo("long")
-        header.type, header.size = kind, 2_000_000
-        tar.addfile(header, io.BytesIO(b"a" * header.size))
-    with pytest.raises(ArchiveError, match="decompression bomb"):
-        unpack(tmp_path / "a.tgz", tmp_path / "new", max_bytes=1000)
+            unpack(archive, folder / str(len(content)))

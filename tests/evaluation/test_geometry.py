@@ -7,7 +7,6 @@ import torch
 
 from gsfusion_nb.evaluation import (
     NotComputed,
-    OwnMeshDistance,
     centres_to_own_mesh,
     cull_unseen,
     mesh_scores,
@@ -92,47 +91,31 @@ def test_a_triangle_without_area_is_a_segment():
 
 def test_samples_lie_on_the_mesh_and_follow_area(generator):
     mesh = joined(square(size=1.0), square(x=5.0, size=2.0))
-    samples = sample_surface(mesh, 20_000, generator)
-    on_large = samples.xyz_W[:, 0] >= 5
+    xyz_W, face = sample_surface(mesh, 20_000, generator)
+    on_large = xyz_W[:, 0] >= 5
     assert float(on_large.double().mean()) == pytest.approx(0.8, abs=0.01)
-    assert torch.equal(on_large, samples.face >= 2)
-    small = samples.xyz_W[~on_large]
+    assert torch.equal(on_large, face >= 2)
+    small = xyz_W[~on_large]
     assert torch.allclose(small.mean(0), torch.tensor([0.5, 0.5, 0.0], dtype=torch.float64), atol=0.02)
     assert float(small[:, 0].var()) == pytest.approx(1 / 12, rel=0.05)
-
-
-def test_samples_repeat_with_the_seed():
-    first, second = (sample_surface(sphere(1.0), 100, torch.Generator().manual_seed(5)).xyz_W for _ in range(2))
-    assert torch.equal(first, second)
 
 
 def test_a_mesh_against_itself_is_perfect(generator):
     scores = mesh_scores(sphere(1.0), sphere(1.0), generator=generator, n_samples=5000)
     assert not isinstance(scores, NotComputed)
-    assert scores.accuracy_m == pytest.approx(0, abs=1e-6)
-    assert scores.completion_m == pytest.approx(0, abs=1e-6)
-    assert (scores.precision, scores.completion_ratio, scores.f_score) == (1.0, 1.0, 1.0)
+    assert scores["accuracy_m"] == pytest.approx(0, abs=1e-6)
+    assert scores["completion_m"] == pytest.approx(0, abs=1e-6)
+    assert (scores["precision"], scores["completion_ratio"], scores["f_score"]) == (1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize(("threshold", "share"), [(0.03, 1.0), (0.019, 0.0)])
 def test_concentric_spheres_are_their_radii_apart(generator, threshold, share):
     scores = mesh_scores(sphere(1.02), sphere(1.0), generator=generator, threshold_m=threshold, n_samples=8000)
     assert not isinstance(scores, NotComputed)
-    assert scores.accuracy_m == pytest.approx(0.02, abs=2e-4)  # facets: 1 - cos(pi / 120) = 3e-4 at most
-    assert scores.completion_m == pytest.approx(0.02, abs=2e-4)
-    assert (scores.precision, scores.completion_ratio) == (share, share)
-    assert scores.f_score == share
-
-
-def test_distance_to_samples_has_the_floor_of_their_spacing(generator):
-    """Poisson points of density n in a plane: the mean distance to the nearest one is 1 / (2 sqrt(n))."""
-    n = 20_000
-    scores = mesh_scores(square(), square(), generator=generator, n_samples=n, distance="samples")
-    assert not isinstance(scores, NotComputed)
-    assert scores.accuracy_m == pytest.approx(0.5 / math.sqrt(n), rel=0.03)
-    exact = mesh_scores(square(), square(), generator=generator, n_samples=n)
-    assert not isinstance(exact, NotComputed)
-    assert exact.accuracy_m == pytest.approx(0, abs=1e-7)
+    assert scores["accuracy_m"] == pytest.approx(0.02, abs=2e-4)  # facets: 1 - cos(pi / 120) = 3e-4 at most
+    assert scores["completion_m"] == pytest.approx(0.02, abs=2e-4)
+    assert (scores["precision"], scores["completion_ratio"]) == (share, share)
+    assert scores["f_score"] == share
 
 
 @pytest.mark.parametrize("rings", [6, 150])
@@ -141,27 +124,17 @@ def test_distance_to_the_surface_needs_no_sample_on_each_triangle(generator, rin
     mesh = sphere(1.0, rings=rings, segments=rings)
     scores = mesh_scores(mesh, mesh, generator=generator, n_samples=2000)
     assert not isinstance(scores, NotComputed)
-    assert scores.accuracy_m < 2e-4  # worst seen 7e-5, at the slivers around the poles; to samples it is 4e-2
+    assert scores["accuracy_m"] < 2e-4  # worst seen 7e-5, at the slivers around the poles; to samples it is 4e-2
 
 
 def test_half_a_surface_is_precise_but_incomplete(generator):
     whole = joined(square(), square(x=1.0))
     scores = mesh_scores(square(), whole, generator=generator, threshold_m=0.1, n_samples=20_000)
     assert not isinstance(scores, NotComputed)
-    assert scores.precision == 1.0
-    assert scores.completion_ratio == pytest.approx(0.55, abs=0.01)
-    assert scores.completion_m == pytest.approx(0.25, abs=0.01)  # half at 0, half uniform in 0..1
-    assert scores.f_score == pytest.approx(2 * 0.55 / 1.55, abs=0.01)
-    assert "accuracy 0.00 cm, completion 2" in str(scores)
-
-
-def test_only_observed_truth_counts_for_completion(generator):
-    whole = joined(square(), square(x=1.0))
-    scores = mesh_scores(square(), whole, generator=generator, n_samples=5000, observed=lambda xyz: xyz[:, 0] < 1.0)
-    assert not isinstance(scores, NotComputed)
-    assert scores.completion_ratio == 1.0
-    unseen = mesh_scores(square(), whole, generator=generator, n_samples=10, observed=lambda xyz: xyz[:, 0] < -1)
-    assert unseen == NotComputed("no point of the reference surface was observed")
+    assert scores["precision"] == 1.0
+    assert scores["completion_ratio"] == pytest.approx(0.55, abs=0.01)
+    assert scores["completion_m"] == pytest.approx(0.25, abs=0.01)  # half at 0, half uniform in 0..1
+    assert scores["f_score"] == pytest.approx(2 * 0.55 / 1.55, abs=0.01)
 
 
 def test_a_mesh_without_faces_is_not_computed_and_an_empty_truth_is_an_error(generator):
@@ -197,7 +170,6 @@ def test_seen_means_in_the_image_and_not_behind_the_measured_depth():
     )
     expected = [True, True, False, True, False, False, False, False]
     assert seen_by(xyz, [front_frame(depth)]).tolist() == expected
-    assert seen_by(xyz, [front_frame(depth)], far_m=1.5).tolist() == [False] * 3 + [True] + [False] * 4
     assert not seen_by(xyz, []).any()
 
 
@@ -228,13 +200,9 @@ def test_centres_against_the_own_mesh_in_closed_form(generator):
     xy = 0.2 + 0.6 * torch.rand(4000, 2, generator=generator, dtype=torch.float64)
     on = torch.cat([xy, torch.zeros(4000, 1, dtype=torch.float64)], dim=1)
     found = centres_to_own_mesh(gaussians_at(on + torch.tensor([0, 0, 2.0])), wall, generator=generator)
-    assert isinstance(found, OwnMeshDistance)
-    assert found.mean_m == pytest.approx(2.0, abs=1e-4)
-    assert found.mean_square_m2 == pytest.approx(4.0, abs=4e-4)
+    assert found == (pytest.approx(2.0, abs=1e-4), pytest.approx(4.0, abs=4e-4))
     found = centres_to_own_mesh(gaussians_at(on), wall, generator=generator)
-    assert isinstance(found, OwnMeshDistance)
-    assert found.mean_m == pytest.approx(0.005, rel=0.05)
-    assert found.mean_square_m2 == pytest.approx(1e-4 / math.pi, rel=0.1)
+    assert found == (pytest.approx(0.005, rel=0.05), pytest.approx(1e-4 / math.pi, rel=0.1))
 
 
 @pytest.mark.parametrize(

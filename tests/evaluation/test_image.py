@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -45,10 +44,10 @@ def frame_of(index, rgb, depth_m):
     return Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
 
 
-@pytest.mark.parametrize("offset", [0.1, 0.01, 1.0])
+@pytest.mark.parametrize("offset", [0.2, 1 / 255, 1.0])
 def test_psnr_of_a_constant_offset_is_minus_20_log10(offset):
     black = torch.zeros(5, 7, 3, dtype=torch.float64)
-    assert psnr(black + offset, black, quantise=False) == pytest.approx(-20 * math.log10(offset), abs=1e-9)
+    assert psnr(black + offset, black) == pytest.approx(-20 * math.log10(offset), abs=1e-9)
 
 
 def test_psnr_quantises_to_bytes_with_halves_up():
@@ -56,12 +55,6 @@ def test_psnr_quantises_to_bytes_with_halves_up():
     just_below, just_above = black + 0.49 / 255, black + 0.51 / 255
     assert psnr(just_below, black) == math.inf
     assert psnr(just_above, black) == pytest.approx(20 * math.log10(255), abs=1e-4)
-
-
-def test_psnr_clamps_to_the_data_range_and_leaves_inputs_alone():
-    white, over = torch.ones(3, 3, 3), torch.full((3, 3, 3), 7.0)
-    assert psnr(over, white) == math.inf
-    assert over.max() == 7.0
 
 
 def test_ssim_of_equal_images_is_one_and_falls_with_noise(generator):
@@ -74,7 +67,7 @@ def test_ssim_of_equal_images_is_one_and_falls_with_noise(generator):
 
 
 def test_ssim_matches_its_definition_pixel_by_pixel(generator):
-    a, b = picture(generator, 9, 12).double(), picture(generator, 9, 12).double()
+    a, b = ((picture(generator, 9, 12).double() * 255).round() / 255 for _ in range(2))
     tap = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))
     window = np.outer(tap, tap) / tap.sum() ** 2
     total = 0.0
@@ -87,12 +80,7 @@ def test_ssim_matches_its_definition_pixel_by_pixel(generator):
                 vp, vq = (window * (p - mp) ** 2).sum(), (window * (q - mq) ** 2).sum()
                 cov = (window * (p - mp) * (q - mq)).sum()
                 total += (2 * mp * mq + 1e-4) * (2 * cov + 9e-4) / ((mp**2 + mq**2 + 1e-4) * (vp + vq + 9e-4))
-    assert ssim(a, b, quantise=False) == pytest.approx(total / (9 * 12 * 3), abs=1e-12)
-
-
-def test_ssim_in_float32_agrees_with_float64(generator):
-    a, b = picture(generator, 40, 50), picture(generator, 40, 50)
-    assert ssim(a, b) == pytest.approx(ssim(a.double(), b.double()), abs=1e-5)
+    assert ssim(a, b) == pytest.approx(total / (9 * 12 * 3), abs=1e-12)
 
 
 def test_metrics_refuse_images_of_different_shape_or_too_small():
@@ -117,17 +105,8 @@ def test_ssim_as_released_is_that_of_torchmetrics_1_4():
                           use_sample_covariance=False, data_range=1.0)
     """
     a, b = patterned()
-    assert ssim_as_released(a, b, quantise=False) == pytest.approx(0.68686813212366, abs=1e-12)
-    assert ssim(a, b, quantise=False) == pytest.approx(0.6793310, abs=1e-6)
-
-
-def test_ssim_as_released_does_not_see_the_border(generator):
-    """A pixel of the border counts only in windows that reach it, and those are around pixels nearer than 6."""
-    a, b = patterned()
-    inner = ssim_as_released(a, b)
-    assert ssim_as_released(a[5:-5, 5:-5], b[5:-5, 5:-5]) != inner
-    with pytest.raises(ValueError, match="at least 11 pixels"):
-        ssim_as_released(torch.zeros(10, 30, 3), torch.zeros(10, 30, 3))
+    assert ssim_as_released(a, b) == pytest.approx(0.68686813212366, abs=1e-12)
+    assert ssim(a, b) == pytest.approx(0.6793310, abs=1e-6)
 
 
 class Network(torch.nn.Module):
@@ -149,43 +128,6 @@ def test_each_lpips_gives_the_network_its_own_images(monkeypatch):
     assert (network.seen[1] == 1).all()
     assert lpips_as_released(rgb, other) == pytest.approx((0.8 + 1 + 1) / 3)
     torch.testing.assert_close(network.seen[0][0, :, 0, 0], torch.tensor([0.0, 0.0, 0.2]))
-
-
-@pytest.fixture
-def no_cached_network():
-    image_module._lpips_network.cache_clear()
-    yield
-    image_module._lpips_network.cache_clear()
-
-
-def test_lpips_without_its_package_says_so(monkeypatch, no_cached_network):
-    monkeypatch.setitem(sys.modules, "lpips", None)
-    result = lpips(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))
-    assert isinstance(result, NotComputed)
-    assert lpips_as_released(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3)) == result
-    assert str(result).startswith("not computed: package 'lpips' is not installed")
-
-
-def test_lpips_without_weights_says_so_and_never_builds_the_network(monkeypatch, no_cached_network, tmp_path):
-    """A stand-in package: building the network would mean a download, so it must not happen."""
-
-    class Package:
-        @staticmethod
-        def LPIPS(**_):
-            raise AssertionError("this would download")
-
-    class Models:
-        class AlexNet_Weights:
-            class IMAGENET1K_V1:
-                url = "https://example.org/alexnet-owt-7be5be79.pth"
-
-    monkeypatch.setitem(sys.modules, "lpips", Package)
-    monkeypatch.setitem(sys.modules, "torchvision", Models)
-    monkeypatch.setitem(sys.modules, "torchvision.models", Models)
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    result = lpips(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))
-    assert isinstance(result, NotComputed)
-    assert "alexnet-owt-7be5be79.pth" in result.reason
 
 
 def test_depth_error_counts_only_pixels_with_both():
@@ -224,8 +166,7 @@ def test_score_views_reads_frames_one_by_one(generator):
     assert [row.index for row in scores.rows] == [3, 11]
     assert scores.psnr == pytest.approx(np.mean([row.psnr for row in scores.rows]))
     assert scores.depth_l1_m == pytest.approx(0.1, abs=1e-5)
-    assert scores.rows[0].depth_share == 1.0
-    assert isinstance(scores.lpips, NotComputed)
+    assert isinstance(scores.mean("lpips"), NotComputed)
     assert set(scores.as_metrics("held_out")) == {
         "psnr_held_out_db", "ssim_held_out", "lpips_held_out", "depth_l1_held_out_m",
         "ssim_as_released_held_out", "lpips_as_released_held_out",
@@ -296,12 +237,6 @@ def test_vertices_are_compared_with_their_pixels_and_hidden_ones_are_not():
     expected = -10 * torch.tensor(0.2**2 / 6).log10()
     assert mesh_psnr(mesh_of(*vertices), [frame()]) == pytest.approx(float(expected), abs=1e-3)
     assert mesh_psnr(mesh_of(*vertices), [frame(), frame(5.0)]) == pytest.approx(float(expected), abs=1e-3)
-
-
-def test_no_number_if_no_view_shows_the_mesh():
-    assert mesh_psnr(mesh_of(at(3, 1, 2.0, [0.5] * 3)), [frame(5.0)]) == NotComputed(
-        "no view shows a vertex of the mesh"
-    )
 
 
 @pytest.mark.parametrize(

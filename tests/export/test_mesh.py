@@ -1,6 +1,5 @@
-"""Mesh files: PLY and binary glTF."""
+"""Mesh files: PLY."""
 
-import json
 import struct
 
 import numpy as np
@@ -8,7 +7,7 @@ import plyfile
 import pytest
 import torch
 
-from gsfusion_nb.export import read_mesh_ply, write_mesh_glb, write_mesh_ply
+from gsfusion_nb.export import read_mesh_ply, write_mesh_ply
 from gsfusion_nb.types import Mesh
 
 
@@ -51,12 +50,6 @@ def test_ply_round_trip(tmp_path, mesh):
         assert (back.rgb - mesh.rgb.clamp(0, 1)).abs().max() <= 0.5 / 255 + 1e-6
 
 
-def test_ply_without_faces_keeps_points(tmp_path):
-    points = Mesh(vertices_W=torch.rand(3, 3), faces=torch.zeros(0, 3, dtype=torch.int32), rgb=torch.rand(3, 3))
-    write_mesh_ply(tmp_path / "m.ply", points)
-    assert torch.equal(read_mesh_ply(tmp_path / "m.ply").vertices_W, points.vertices_W)
-
-
 def foreign_ply(path, faces, text=False):
     vertex = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], dtype=[(a, "f8") for a in "xyz"])
     face = np.empty(len(faces), dtype=[("vertex_index", object)])
@@ -94,69 +87,3 @@ def test_faces_must_refer_to_vertices(bad):
     mesh = tetrahedron()
     with pytest.raises(ValueError, match="faces must refer to vertices 0 to 3"):
         Mesh(vertices_W=mesh.vertices_W, faces=torch.tensor([[0, 1, bad]]), rgb=mesh.rgb)
-
-
-def parse_glb(data):
-    magic, version, length = struct.unpack("<4sII", data[:12])
-    assert (magic, version, length) == (b"glTF", 2, len(data))
-    size, kind = struct.unpack("<I4s", data[12:20])
-    assert kind == b"JSON"
-    assert size % 4 == 0
-    document = json.loads(data[20 : 20 + size])
-    rest = data[20 + size :]
-    if not rest:
-        return document, b""
-    size, kind = struct.unpack("<I4s", rest[:8])
-    assert kind == b"BIN\0"
-    assert size % 4 == 0
-    assert len(rest) == 8 + size
-    return document, rest[8:]
-
-
-def accessor(document, chunk, index, dtype, width):
-    entry = document["accessors"][index]
-    view = document["bufferViews"][entry["bufferView"]]
-    assert view["byteOffset"] % 4 == 0
-    data = chunk[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-    return np.frombuffer(data, dtype).reshape(entry["count"], width)
-
-
-def test_glb_content_and_axes(tmp_path):
-    mesh = tetrahedron()
-    write_mesh_glb(tmp_path / "m.glb", mesh)
-    document, chunk = parse_glb((tmp_path / "m.glb").read_bytes())
-    assert document["buffers"] == [{"byteLength": 4 * 12 + 4 * 12 + 12 * 4}]
-    xyz = accessor(document, chunk, 0, "<f4", 3)
-    assert xyz.tolist() == [[0, 0, 0], [1, 0, 0], [0, -2, 0], [0, 0, -3]]
-    assert document["accessors"][0]["min"] == [0, -2, -3]
-    assert document["accessors"][0]["max"] == [1, 0, 0]
-    assert accessor(document, chunk, 2, "<u4", 1).reshape(-1, 3).tolist() == mesh.faces.tolist()
-    colour = accessor(document, chunk, 1, "<f4", 3)
-    # 0.2 and 0.4 of sRGB are 0.0331 and 0.1329 of linear light
-    assert colour[3].tolist() == pytest.approx([0.03310, 0.13287, 1.0], abs=1e-5)
-    # Float: programs that ignore componentType 5123 read 16-bit colours as 8-bit ones.
-    assert {k: document["accessors"][1][k] for k in ("componentType", "type")} == {
-        "componentType": 5126,
-        "type": "VEC3",
-    }
-    assert "normalized" not in document["accessors"][1]
-
-
-@pytest.mark.parametrize("up", ["-y", "+z", "+y"])
-def test_glb_axes_keep_handedness(tmp_path, up):
-    mesh = tetrahedron()
-    write_mesh_glb(tmp_path / "m.glb", mesh, up=up)
-    document, chunk = parse_glb((tmp_path / "m.glb").read_bytes())
-    xyz = accessor(document, chunk, 0, "<f4", 3).astype(float)
-    assert np.linalg.det(xyz[1:]) == pytest.approx(6.0)  # signed volume of the corner, as before
-    up_vector = {"-y": (2, -1), "+z": (3, 1), "+y": (2, 1)}[up]
-    vertex = xyz[up_vector[0]]
-    assert vertex[1] == up_vector[1] * float(mesh.vertices_W[up_vector[0]].abs().max())
-
-
-def test_glb_of_nothing_is_an_empty_scene(tmp_path):
-    write_mesh_glb(tmp_path / "m.glb", empty())
-    document, chunk = parse_glb((tmp_path / "m.glb").read_bytes())
-    assert document["scenes"] == [{}]
-    assert "meshes" not in document
-    assert chunk == b""

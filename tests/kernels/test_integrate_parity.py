@@ -111,13 +111,6 @@ def test_published_averages_of_equal_distances(average):
     torch.testing.assert_close(got, expected, rtol=0, atol=5e-7)
 
 
-@pytest.mark.parametrize("shift", [-3.0, 640.0])
-def test_anywhere_in_the_world(shift, make_frames):
-    volumes, _ = both(CONFIG, make_frames(64, 47, shift=shift))
-    assert volumes[1].n_blocks > 100
-    assert_same(volumes)
-
-
 def test_a_camera_inside_the_map(make_frames):
     """Blocks around and behind the camera: nothing behind it is updated, and nothing is divided by zero."""
     frame = make_frames(64, 47, n=1)[0]
@@ -152,38 +145,3 @@ def test_colours_that_are_no_bytes(value, column, make_frames):
     rgb[:, column] = value
     volumes, _ = both(CONFIG, [dataclasses.replace(frame, rgb=rgb)])
     assert_same(volumes)
-
-
-def test_frames_and_volumes_with_nothing_in_them(make_frames):
-    frame = make_frames(33, 21, n=1)[0]
-    volume = TsdfVolume(CONFIG)
-    with use_backend("numba"):
-        assert fuse_frame_(volume, frame) == 0
-    volumes, _ = both(CONFIG, [frame, dataclasses.replace(frame, depth_m=torch.zeros(21, 33))])
-    assert_same(volumes)
-    infinite = dataclasses.replace(frame, depth_m=torch.full((21, 33), float("inf")))
-    volumes, reports = both(CONFIG, [frame, infinite])
-    assert reports[1][1].updated_voxels == 0
-
-
-def test_strided_images(make_frames):
-    frame = make_frames(40, 31, n=1, eight_bit=False)[0]
-    strided = dataclasses.replace(frame, rgb=frame.rgb.permute(2, 0, 1).contiguous().permute(1, 2, 0))
-    volumes, _ = both(CONFIG, [strided])
-    assert_same(volumes)
-    plain, _ = both(CONFIG, [frame])
-    assert torch.equal(plain[1].rgb_planes, volumes[1].rgb_planes)
-
-
-def test_results_repeat_bit_for_bit_on_any_number_of_threads(make_frames):
-    frames, states = make_frames(160, 120), []
-    for threads in (1, 2, 1):
-        torch.set_num_threads(threads)
-        volume = TsdfVolume(CONFIG)
-        with use_backend("numba"):
-            for frame in frames:
-                integrate(volume, frame)
-        states.append(volume.state_dict())
-    torch.set_num_threads(1)
-    for other in states[1:]:
-        assert all(torch.equal(states[0][name], other[name]) for name in ("D", "W", "rgb", "block_coords"))

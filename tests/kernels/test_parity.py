@@ -19,7 +19,7 @@ from gsfusion_nb.backends import BackendUnavailable, use_backend
 EMULATES = [b for b, variable in backends._EMULATED_BY.items() if os.environ.get(variable)]
 """Backends for GPUs that this session of pytest runs on the processor; it is started for them alone."""
 
-GPU_BACKENDS = ("torch", "triton", "cuda") if torch.cuda.is_available() and not EMULATES else ()
+GPU_BACKENDS = ("triton", "cuda") if torch.cuda.is_available() and not EMULATES else ()
 
 FLOAT64_TOLERANCE = 1e-9
 """Of the largest value: sums may be taken in another order, and that is all."""
@@ -66,6 +66,22 @@ def test_same_as_the_reference(case, backend, dtype, compare_on):
         if "has no implementation" in str(e):
             raise
         pytest.skip(str(e))
+
+
+ONE_OF_EACH = {case.operations: case for case in backends.cases() if "numba" in backends.offered(case.operations[0])}
+"""The last case of every set of operations."""
+
+
+@pytest.mark.parametrize("case", ONE_OF_EACH.values(), ids=lambda case: "+".join(case.operations))
+def test_threads_do_not_change_a_bit(case):
+    results = []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        with use_backend("numba"):
+            results.append(case.run(torch.device("cpu"), torch.float32))
+    torch.set_num_threads(1)
+    for name, value in results[0].items():
+        assert torch.equal(value, results[1][name]), name
 
 
 def folders_without_cases() -> list[str]:
@@ -125,23 +141,20 @@ def run(device, dtype):
 
 def test_a_new_operation_or_backend_is_one_file(made_kernels, compare_on):
     """Written into a folder: parity and warm-up find it."""
-    (made_kernels / "torch.py").write_text("def halve(x):\n    return 0.5 * x\n")
+    (made_kernels / "numba.py").write_text("def halve(x):\n    return 0.5 * x\n")
     backends.look_again()
     assert "kernels/halve has no cases.py" in folders_without_cases()
     (made_kernels / "cases.py").write_text(CASES_OF_HALVE)
     assert "kernels/halve has no cases.py" not in folders_without_cases()
     found = [param.values for param in runs(backends.cases())]
-    assert [(case.name, backend) for case, backend, _ in found] == [("counting", "torch")] * 2
+    assert [(case.name, backend) for case, backend, _ in found] == [("counting", "numba")] * 2
     for case, backend, dtype in found:
         check(case, backend, dtype, compare_on)
-    assert not any(case.operations == ("halve",) for case in warm_up_of("cpu"))
-
     (made_kernels / "numba.py").write_text("def halve(x):\n    return 0.51 * x\n")
+    del sys.modules["made_kernels.halve.numba"]
     backends.look_again()
-    found = [param.values for param in runs(backends.cases())]
-    assert [backend for _, backend, _ in found] == ["torch", "torch", "numba", "numba"]
     with pytest.raises(AssertionError, match="halve half: 4 of 5 differ"):
-        check(found[2][0], "numba", torch.float32, compare_on)
+        check(found[0][0], "numba", torch.float32, compare_on)
     assert any(case.operations == ("halve",) for case in warm_up_of("cpu"))
 
 

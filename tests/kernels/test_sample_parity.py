@@ -33,10 +33,3 @@ def test_samples_are_the_same(n, generator):
     if n > 3:
         assert b.W[:2].tolist() == [0.0, 0.0]
         assert 0.01 < float((b.W > 0).double().mean()) < 0.9
-
-
-def test_an_empty_volume(generator):
-    with use_backend("numba"):
-        sample = sample_voxels(TsdfVolume(TsdfConfig()), torch.randn(7, 3, generator=generator))
-    assert sample.D.tolist() == [1.0] * 7
-    assert sample.W.tolist() == [0.0] * 7

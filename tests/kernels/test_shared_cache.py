@@ -34,7 +34,6 @@ import numba
 import gsfusion_nb.kernels
 from numba.core import event
 from gsfusion_nb.kernels.runtime import numba as _
-from gsfusion_nb.kernels.runtime.numba import shared_cache
 
 folder, types = pathlib.Path(sys.argv[1]), sys.argv[2:]
 gsfusion_nb.kernels.__path__.append(str(folder))
@@ -51,13 +50,7 @@ event.register("numba:compile", Count())
 print("ready", flush=True)
 sys.stdin.readline()
 for name in types:
-    if name == "str":
-        try:
-            trial.whole("text")
-        except numba.TypingError:
-            assert not any(shared_cache._HELD.values())
-    else:
-        assert trial.whole(getattr(numba, name)(2)) == trial.whole.py_func(2)
+    assert trial.whole(getattr(numba, name)(2)) == trial.whole.py_func(2)
 print(*(name for name in Count.names if name in ("part", "whole")), flush=True)
 """
 
@@ -94,11 +87,6 @@ def test_each_function_is_compiled_once_for_each_type(tmp_path):
     compiled = run(tmp_path, ["int64", "float64"], ["float64", "float32"], ["float32", "int64"])
     assert sorted(itertools.chain(*compiled)) == ["part"] * 3 + ["whole"] * 3
     assert run(tmp_path, ["int64", "float64", "float32"]) == [[]]
-
-
-def test_a_function_that_cannot_be_compiled_holds_nobody_up(tmp_path):
-    write_trial(tmp_path)
-    assert run(tmp_path, ["str", "float64"])[0].count("whole") == 2
 
 
 def test_a_number_that_changes_in_another_file_is_compiled_in(tmp_path):

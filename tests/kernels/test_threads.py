@@ -4,11 +4,8 @@ import importlib.metadata
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-
-from gsfusion_nb.kernels.runtime.numba import launch  # pyright: ignore[reportMissingImports]
 
 HAS_TBB = any(d.metadata["Name"] == "tbb" for d in importlib.metadata.distributions())
 
@@ -43,24 +40,3 @@ def test_maps_of_both_kinds_of_threads_have_the_same_bits():
     assert ours == used == "tbb"
     plain = _run(NUMBA_THREADING_LAYER="workqueue")
     assert plain == ["workqueue", "workqueue", bits]
-
-
-class _Broken:
-    name = launch._TBB[0]
-
-    def locate(self) -> Path:
-        return Path("no such folder") / self.name
-
-
-@pytest.mark.parametrize("files", [None, [], [_Broken()]], ids=["no list of files", "no library", "cannot be loaded"])
-def test_without_the_library_there_is_no_error(monkeypatch, files):
-    monkeypatch.setattr(importlib.metadata, "files", lambda name: files)
-    launch._load_tbb()
-
-
-def test_without_the_package_there_is_no_error(monkeypatch):
-    def missing(name):
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(importlib.metadata, "files", missing)
-    launch._load_tbb()

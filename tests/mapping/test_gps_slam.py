@@ -7,15 +7,14 @@ import pytest
 import torch
 
 from gsfusion_nb.config import (
-    BaseConfig,
     ScheduleConfig,
     gps_slam,
 )
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper
-from gsfusion_nb.mapping.gps_views import BasedView, ViewRound
-from gsfusion_nb.optim import Keyframe, fit_pose_by_flow
+from gsfusion_nb.mapping.gps_views import ViewRound
+from gsfusion_nb.optim import fit_pose_by_flow
 from gsfusion_nb.render import base_view
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.runs.outputs import score
@@ -42,8 +41,8 @@ def test_the_released_numbers():
     assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (0.005, pytest.approx(0.02), 100)
     assert (c.base.holes, c.base.resolution, c.base.behind_m) == ("black", "full", 0.1)
     s, r = c.schedule, c.residual
-    assert (s.every_frames, s.iterations, s.window, s.window_every, s.keyframes, s.recalled) == (10, 20, 2, 5, 7, 7)
-    assert (r.lr_xyz, r.lr_log_scale, r.lr_quat, r.lr_opacity_logit) == (1.6e-4, 5e-3, 1e-3, 5e-2)
+    assert (s.every_frames, s.iterations, s.window_every, s.keyframes, s.recalled) == (10, 20, 5, 7, 7)
+    assert (r.lr_xyz, r.lr_log_scale, r.lr_opacity_logit) == (1.6e-4, 5e-3, 5e-2)
     assert (r.lr_sh_dc, r.lr_sh_rest, r.min_radius_m, r.max_radius_m) == (2.5e-3, 5e-4, 0.003, 0.1)
     assert (c.views.rotation_deg, c.views.translation_m, c.final.passes, c.sh_degree) == (30, 0.3, 0, 3)
     assert (c.tsdf.average, c.seeding.options["only_with_depth"]) == ("int16", False)
@@ -56,28 +55,6 @@ def test_a_round_has_its_steps_however_they_are_spread():
         burst = ViewRound(ScheduleConfig(every_frames=every, iterations=steps, spread=False))
         assert [burst.steps_in(n) for n in range(2 * every + 1)].count(steps) == (2 if every > 1 else 2 * every)
         assert burst.steps_in(0) == 0
-
-
-def test_new_keyframes_are_looked_at_first_and_the_oldest_look_makes_room(run):
-    keyframes, generator = run.mapper.keyframes, torch.Generator().manual_seed(0)
-    looked: list[int] = []
-
-    def look(keyframe: Keyframe) -> BasedView:
-        looked.append(keyframe.index)
-        seen = torch.zeros(48, 64)
-        return BasedView.of(keyframe, seen[..., None].expand(-1, -1, 3), seen, BaseConfig())
-
-    views = ViewRound(ScheduleConfig(keyframes=3, recalled=2, recalled_new=1))
-    views.recall(keyframes, look, generator, 1, 1)
-    assert looked == [keyframes[len(keyframes) - 2].index]  # the newest one's surface is not complete yet
-    for _ in range(12):
-        views.recall(keyframes, look, generator, 1, 1)
-    shown = [view.keyframe.index for view in views.recalled]
-    assert len(set(shown)) == 3
-    last: list[int] = []
-    for index in reversed(looked):
-        last += [index] if index not in last else []
-    assert shown == last[2::-1]
 
 
 def test_the_passes_improve_the_map_beyond_the_surface(run):
@@ -105,7 +82,7 @@ def test_each_pass_ends_with_the_removal_of_small_large_and_transparent_rows(run
     assert 0 < len(mapper.gaussians) < n_before
     assert float(radius_m.max()) <= limits.max_radius_m
     assert float(radius_m.min()) >= limits.min_radius_m
-    assert float(params.opacity_logit.sigmoid().min()) >= limits.min_opacity
+    assert float(params.opacity_logit.sigmoid().min()) >= 0.005
 
 
 def test_a_keyframe_is_more_than_30_cm_or_30_degrees_away(run):
@@ -147,15 +124,3 @@ def test_a_disturbed_pose_is_found_again_though_the_surface_has_no_gradient(run)
     assert torch.equal(still.T_WC, frame.T_WC)
     with pytest.raises(ValueError, match="steps"):
         fit_pose_by_flow(mapper.render, frame.camera, picture, frame.T_WC, steps=0)
-
-
-def test_a_run_that_has_no_gaussians_yet_goes_on_from_its_saved_state():
-    """The first come in the tenth frame; a run may be killed before."""
-    before = mapped(2)
-    again = GPSSLAM.from_state_dict(before.mapper.state_dict())
-    assert len(again.gaussians) == 0
-    assert torch.equal(again.volume.D, before.mapper.volume.D)
-    assert again.notes == []
-    last = before.sequence.mapping[1]
-    frame = dataclasses.replace(last, index=last.index + 1, timestamp_s=last.timestamp_s + 1)
-    assert again.step(frame).n_blocks == before.mapper.step(frame).n_blocks

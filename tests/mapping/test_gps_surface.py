@@ -1,15 +1,12 @@
 """A GPS-SLAM map as standard Gaussians: its surface as discs, in the viewer, in exported files."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from gsfusion_nb.cli import main
 from gsfusion_nb.config import gps_slam
 from gsfusion_nb.evaluation import psnr
-from gsfusion_nb.export import read_gaussian_ply, read_map_glb
 from gsfusion_nb.mapping.gps_surface import CAMERA, fit_to_pictures, plain_gaussians, surface_discs
 from gsfusion_nb.render import render
 from gsfusion_nb.runs import FinishedRun, run_mapping
@@ -67,16 +64,3 @@ def test_discs_lie_flat_on_the_mesh(run):
     assert discs.log_scale[:, 2].max() < discs.log_scale[:, 0].min()
     empty = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int32), rgb=torch.zeros(0, 3))
     assert len(surface_discs(empty, 0.03)) == 0
-
-
-def test_a_file_of_a_run_holds_the_surface_unless_it_is_left_out(run, tmp_path: Path, capsys):
-    n = len(run.run.mapper.gaussians)
-    assert main(["export", str(run.folder), str(tmp_path / "both.ply"), "--bake-steps", "1"]) == 0
-    assert f"discs for the surface, {n:,} Gaussians in front of it" in capsys.readouterr().out
-    assert len(read_gaussian_ply(tmp_path / "both.ply")) > n
-    assert main(["export", str(run.folder), str(tmp_path / "bare.ply"), "--bake-steps", "-1"]) == 0
-    assert len(read_gaussian_ply(tmp_path / "bare.ply")) == n
-    assert main(["export", str(run.folder), str(tmp_path / "map.glb")]) == 0
-    gaussians, mesh = read_map_glb(tmp_path / "map.glb")
-    assert len(gaussians) == n
-    assert len(mesh.faces) > n

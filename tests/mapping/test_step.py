@@ -3,7 +3,6 @@
 import copy
 import dataclasses
 import signal
-import threading
 from typing import Any
 
 import pytest
@@ -41,9 +40,9 @@ class Breaking:
 
 def settings(system, config, poses="given"):
     if system == "gsfusion":
-        return replace(config, tracking__poses=poses, tracking__back_end__enabled=False)
+        return replace(config, tracking__poses=poses, tracking__back_end=False)
     data = {"width": 0, "height": 0, "hold_out_every": 0, "stop": 8}
-    tracking = {"poses": poses, "back_end": {"enabled": False}}
+    tracking = {"poses": poses, "back_end": False}
     if system == "gps_slam":
         schedule = {"every_frames": 2, "window_every": 2, "iterations": 4}
         return gps_slam("room", data=data, tracking=tracking, schedule=schedule, tsdf__voxel_size_m=0.04)
@@ -97,26 +96,6 @@ def test_the_view_before_fusing_finds_what_is_there_after(small_room, config, ge
         torch.testing.assert_close(expected.rgb, found.rgb, atol=1e-5, rtol=0)
 
 
-def test_a_second_thread_is_refused(small_room, config):
-    inside, go_on = threading.Event(), threading.Event()
-
-    def waiting(ctx: SeedContext) -> Seeds:
-        inside.set()
-        assert go_on.wait(30)
-        return ctx.cells()
-
-    mapper = GSFusion(config, seeding=waiting)
-    first = threading.Thread(target=mapper.step, args=(small_room[0],))
-    first.start()
-    assert inside.wait(30)
-    with pytest.raises(RuntimeError, match="frame 1 was given while another thread maps frame 0; give one frame"):
-        mapper.step(small_room[1])
-    go_on.set()
-    first.join()
-    assert mapper.n_frames == 1
-    assert mapper.step(small_room[1]).frame_index == 1
-
-
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_map_with_half_a_frame_takes_no_more(system, small_room, config, monkeypatch):
     mapper: Any = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM, "gps_slam": GPSSLAM}[system](settings(system, config))
@@ -154,18 +133,6 @@ def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(small_roo
     same(maps_of(whole.mapper), maps_of(run.mapper))
 
 
-def test_ctrl_c_in_the_rule_ends_the_step_at_once(small_room, config, same):
-    def pressed(ctx: SeedContext) -> Seeds:
-        signal.raise_signal(signal.SIGINT)
-        return ctx.cells()
-
-    mapper = GSFusion(config, seeding=pressed)
-    before = copy.deepcopy(mapper.state_dict())
-    with pytest.raises(KeyboardInterrupt):
-        mapper.step(small_room[0])
-    same(before, mapper.state_dict())
-
-
 GOOD = Frame(
     index=7,
     timestamp_s=0.0,
@@ -197,8 +164,8 @@ def test_a_good_frame_comes_back():
         ({"T_WC": torch.full((4, 4), torch.nan)}, "T_WC of frame 7 must be finite"),
         ({"T_WC": shifted(1e6)}, r"T_WC of frame 7 must be within 10 km of the origin, got \(0, 1e\+06, 0\) m"),
         ({"T_WC": shifted(1e30)}, "T_WC of frame 7 must be within 10 km of the origin"),
-        ({"camera": dataclasses.replace(GOOD.camera, fx=1e12)}, "its camera: fx must be between 0.2 and 400 pixels"),
-        ({"camera": dataclasses.replace(GOOD.camera, cx=-500.0)}, "its camera: cx must be between -4 and 8 pixels"),
+        ({"camera": dataclasses.replace(GOOD.camera, fx=1e12)}, "its camera: fx must be between 0.2 and 400"),
+        ({"camera": dataclasses.replace(GOOD.camera, cx=-500.0)}, "its camera: cx must be between -4 and 8"),
         ({"depth_m": torch.full((3, 4), torch.inf)}, "depth_m of frame 7 must be finite"),
         ({"rgb": torch.full((3, 4, 3), torch.nan)}, "rgb of frame 7 must be finite"),
         ({"rgb": torch.full((3, 4, 3), 128.0)}, r"rgb of frame 7 must be in 0\.\.1, got 128"),

@@ -9,14 +9,15 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import DiscConfig, WindowConfig
 from gsfusion_nb.gaussians import SurfelModel
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser, TrainingView
-from gsfusion_nb.render import disc_depth, render_forward, rows_in_view
+from gsfusion_nb.mapping import surfel_optimiser
+from gsfusion_nb.mapping.surfel_optimiser import WEIGHT_DEPTH, SurfelOptimiser, TrainingView
+from gsfusion_nb.render import disc_depth, render_forward
 from gsfusion_nb.types import Camera, GaussianParams, Seeds
 
 CAMERA = Camera(width=24, height=18, fx=22.0, fy=22.0, cx=12.0, cy=9.0)
 POSE = se3.exp(torch.tensor([0.05, -0.02, 0.1, 0.1, -0.2, 0.05]))
 NAMES = ("xyz_W", "log_scale", "quat", "sh")
-WINDOW = WindowConfig(weight_colour=0.8, weight_depth=0.5, weight_regulariser=3.0, depth_behind_m=None)
+WINDOW = WindowConfig(weight_colour=0.8, depth_behind_m=None)
 
 
 @pytest.fixture(autouse=True)
@@ -92,7 +93,9 @@ def written_out(params, seen: TrainingView, window: WindowConfig, discs: DiscCon
     colour = (out.rgb - seen.rgb.double())[seen.pixels].abs().mean()
     depth = (depth_m - seen.depth_m.double())[known].abs().mean()
     regulariser = sum((getattr(params, name)[held] - value.double()).square().mean() for name, value in anchor.items())
-    return float(window.weight_colour * colour + window.weight_depth * depth + window.weight_regulariser * regulariser)
+    return float(
+        window.weight_colour * colour + WEIGHT_DEPTH * depth + surfel_optimiser.WEIGHT_REGULARISER * regulariser
+    )
 
 
 @pytest.mark.parametrize("depth", ["disc", "blended"])
@@ -137,7 +140,7 @@ def test_the_gradient_is_that_of_the_whole_printed_loss(generator, depth):
 
 def _regulariser(params, held, anchor) -> float:
     terms = [(getattr(params, name)[held] - value.double()).square().mean() for name, value in anchor.items()]
-    return WINDOW.weight_regulariser * float(sum(terms))
+    return surfel_optimiser.WEIGHT_REGULARISER * float(sum(terms))
 
 
 def snapshot(model: SurfelModel) -> dict[str, torch.Tensor]:
@@ -165,10 +168,10 @@ def test_frozen_rows_do_not_move_and_the_map_changes_on_write_back_only(generato
 
 
 @pytest.mark.parametrize("weight", [0.0, 1000.0])
-def test_transparent_rows_are_held_by_the_regulariser(generator, weight):
+def test_transparent_rows_are_held_by_the_regulariser(generator, weight, monkeypatch):
     model, seen = scene(generator), view(generator)
-    window = dataclasses.replace(WINDOW, weight_regulariser=weight)
-    optimiser = SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), window, DiscConfig())
+    monkeypatch.setattr(surfel_optimiser, "WEIGHT_REGULARISER", weight)
+    optimiser = SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), WINDOW, DiscConfig())
     clear = model.is_transparent
     for _ in range(60):
         optimiser.step(seen)
@@ -180,119 +183,10 @@ def test_transparent_rows_are_held_by_the_regulariser(generator, weight):
 
 def test_anchors_of_this_window_instead_of_birth(generator):
     model, seen = scene(generator), view(generator)
-    window = dataclasses.replace(WINDOW, weight_regulariser=1000.0, anchor="window")
+    window = dataclasses.replace(WINDOW, anchor="window")
     optimiser = SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), window, DiscConfig())
     clear = model.is_transparent
     for _ in range(30):
         optimiser.step(seen)
     moved = (optimiser.trained.xyz_W - model.params.xyz_W).norm(dim=1)
     assert moved[clear].max() < 3e-3 < moved[~clear].max()
-
-
-def test_rows_are_counted_when_their_colour_changed(generator):
-    """A row behind the camera is never seen; one in front is, each time."""
-    model = scene(generator, 6)
-    model.params.xyz_W[2] = se3.apply(POSE, torch.tensor([0.0, 0.0, -3.0]))
-    seen = dataclasses.replace(view(generator), pixels=torch.ones(18, 24, dtype=torch.bool))
-    optimiser = SurfelOptimiser(model, torch.ones(6, dtype=torch.bool), WINDOW, DiscConfig())
-    for _ in range(4):
-        optimiser.step(seen)
-    assert optimiser.steps_seen[2] == 0
-    assert optimiser.steps_seen.max() == 4
-    nowhere = dataclasses.replace(seen, pixels=torch.zeros(18, 24, dtype=torch.bool))
-    counts = optimiser.steps_seen.clone()
-    assert optimiser.step(nowhere).total == 0.0
-    assert torch.equal(optimiser.steps_seen, counts)
-
-
-def test_state_round_trip(generator):
-    model, seen = scene(generator), view(generator)
-    window = dataclasses.replace(WINDOW, anchor="window", weight_regulariser=1000.0)
-    everything = torch.ones(len(model), dtype=torch.bool)
-    whole = SurfelOptimiser(model, everything, window, DiscConfig())
-    for _ in range(3):
-        whole.step(seen)
-    whole.write_back()
-    resumed = SurfelOptimiser(model, everything, window, DiscConfig())
-    resumed.load_state_dict(whole.state_dict())
-    for optimiser in (whole, resumed):
-        for _ in range(3):
-            optimiser.step(seen)
-    for name in NAMES:
-        assert torch.equal(getattr(whole.trained, name), getattr(resumed.trained, name)), name
-
-
-class Recorded(SurfelOptimiser):
-    """Keeps a copy of every gradient of the trained rows that it hands to Adam."""
-
-    def __init__(self, *args, **options):
-        super().__init__(*args, **options)
-        self.gradients: list[GaussianParams] = []
-        self._step = self.adam.step
-        self.adam.step = self._keep  # pyright: ignore[reportAttributeAccessIssue]
-
-    def _keep(self, gradients: GaussianParams) -> None:
-        self.gradients.append(gradients[: self.n])
-        self._step(gradients)
-
-
-@pytest.fixture
-def in_float64():
-    """``in_float64(tensors)`` converts what is nested in dictionaries; new tensors are float64, too."""
-
-    def convert(value):
-        if isinstance(value, dict):
-            return {name: convert(v) for name, v in value.items()}
-        return value.double() if isinstance(value, torch.Tensor) and value.is_floating_point() else value
-
-    torch.set_default_dtype(torch.float64)
-    yield convert
-    torch.set_default_dtype(torch.float32)
-
-
-def test_rows_that_no_view_shows_may_be_left_out(request, generator):
-    """They have no gradient, and the others the same one as before.
-
-    The same up to rounding: with fewer rows a processor may add the terms of a sum in another order. The test computes
-    in float64 and asks for gradients that agree to a share RHO = 2^-24 of themselves. The order of a sum of some 10^3
-    terms changes it by 10^3 2^-53 of their size at most, which is less than RHO of the result unless they cancel to
-    2 10^-6 of their size; the smallest gradient here is 2 10^-5 of the largest.
-
-    What Adam makes of it: step t moves by lr u, u = m / sqrt(v), m = sum_s a_s g_s, v = sum_s b_s g_s^2, the weights
-    summing to 1. By Cauchy-Schwarz |u| <= c = sqrt(sum_s a_s^2 / b_s), and a change of every g_s by a share of at most
-    RHO changes u by at most 2 c RHO. For t <= 5, c < 1.02: after five steps parameters differ by at most 10.2 RHO lr.
-    """
-    RHO, steps = 2.0**-24, 5
-    model, image = scene(generator, 30), view(generator)
-    model.params.opacity_logit.fill_(4.0)  # transparent rows are pulled to their anchor, seen or not
-    model.params.xyz_W[::3] += 20.0
-    seen = rows_in_view(model.params, CAMERA, POSE)
-    in_float64 = request.getfixturevalue("in_float64")
-    state, image = in_float64(model.state_dict()), TrainingView(**in_float64(vars(image)))
-    everything, fewer = (SurfelModel.from_state_dict(model.state_dict()) for _ in range(2))
-    for copy in (everything, fewer):
-        copy._columns = in_float64(copy._columns)
-    runs = []
-    for copy, rows in ((everything, None), (fewer, seen)):
-        assert isinstance(copy, SurfelModel)
-        runs.append(Recorded(copy, torch.arange(30) % 2 == 0, WINDOW, DiscConfig(), seen=rows))
-        for _ in range(steps):
-            runs[-1].step(image)
-        runs[-1].write_back()
-    assert runs[1].rows.tolist() == [i for i in range(0, 30, 2) if i % 3]
-    kept = torch.isin(runs[0].rows, runs[1].rows)
-    rates = {"xyz_W": WINDOW.lr_xyz, "log_scale": WINDOW.lr_log_scale, "quat": WINDOW.lr_quat, "sh": WINDOW.lr_sh_dc}
-    assert WINDOW.lr_sh_rest <= WINDOW.lr_sh_dc
-    for name, lr in rates.items():
-        for a, b in zip(runs[0].gradients, runs[1].gradients, strict=True):
-            a, b = getattr(a, name), getattr(b, name)
-            assert a.dtype == torch.float64
-            assert not a[~kept].any(), name
-            torch.testing.assert_close(b, a[kept], atol=0.0, rtol=RHO)
-        ends = [getattr(copy.params, name) for copy in (everything, fewer)]
-        torch.testing.assert_close(*ends, atol=10.2 * RHO * lr, rtol=0.0)
-        left_out = torch.arange(30) % 3 == 0
-        for end in ends:
-            moved = (end != state["rows"][name]).reshape(30, -1).any(1)
-            assert moved[runs[1].rows].all(), name
-            assert not moved[left_out].any(), name

@@ -3,11 +3,12 @@
 import dataclasses
 
 import pytest
+import torch
 
 from gsfusion_nb.config import GpsSlamConfig, GSFusionConfig, RtgSlamConfig
 from gsfusion_nb.config.gsfusion import presets
 from gsfusion_nb.data.room import room
-from gsfusion_nb.errors import BadFrameError
+from gsfusion_nb.files import BadFrameError
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, SYSTEMS, GSFusion, get_system, make_mapper, system_of
 
 
@@ -79,3 +80,17 @@ def test_after_a_jump_the_frames_that_go_on_are_mapped_also_after_a_pause(view):
     for index in (2, 3):
         mapper.step(placed(view, index, 0.0))
     assert mapper.localiser.frame_indices == [0, 2, 3]
+
+
+def test_a_depth_that_no_camera_measures_is_told_once(view):
+    mapper, far = small("gsfusion"), dataclasses.replace(view, depth_m=torch.full_like(view.depth_m, 65.5))
+    frames = [placed(frame, i, 0.0) for i, frame in enumerate((view, far, far))]
+    told = [mapper.step_warnings(frame, mapper.step(frame)) for frame in frames]
+    assert [len(warnings) for warnings in told] == [0, 1, 0]
+    assert "depth-max-m" in told[1][0]
+
+
+@pytest.mark.parametrize("fidelity", ["measured", "paper", "code"])
+def test_gps_slam_says_what_a_fidelity_does_not_follow(fidelity):
+    notes = make_mapper(SYSTEMS["gps_slam"].preset("room", fidelity)).notes
+    assert any("docs/gps_slam.md" in note for note in notes) == (fidelity != "measured")

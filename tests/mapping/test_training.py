@@ -11,13 +11,12 @@ import torch
 from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.data.room import room
-from gsfusion_nb.errors import SequenceError
+from gsfusion_nb.files import SequenceError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GSFusion, get_system, make_mapper
 from gsfusion_nb.mapping.training import KeyframePasses
 from gsfusion_nb.optim import ViewLoss, l1_mse_vjp
 from gsfusion_nb.optim.adam import BETA1, BETA2, EPS, adam_update
-from gsfusion_nb.runs import resume_mapping, run_mapping
 
 SMALL: dict[str, Any] = {"data__width": 40, "data__height": 30, "data__stop": 6}
 SYSTEMS = {
@@ -80,57 +79,12 @@ def test_every_system_optimises_with_what_is_given(name, given):
     usual, own = mapped(name), mapped(name, **given)
     assert len(own.gaussians) > 0
     assert len(usual.gaussians) != len(own.gaussians) or not equal(usual, own)
-    assert not own.gaussians.count_not_finite()
+    assert all(bool(x.isfinite().all()) for x in vars(own.gaussians.params).values())
     if "optimiser" in given and name == "gsfusion":  # plain gradient descent uses no moments
         assert not any(column.any() for column in vars(own.gaussians.exp_avg).values())
     else:
         before, own_loss = usual.training.names, own.training.names
         assert (before, list(own_loss)) == ({}, list(given))
-
-
-def not_in_place(param, gradient, m, v, steps, *, lr):
-    param = param - lr * gradient
-
-
-def returns(param, gradient, m, v, steps, *, lr):
-    return param - lr * gradient
-
-
-def to_nan(param, gradient, m, v, steps, *, lr):
-    param /= v
-
-
-@pytest.mark.parametrize(
-    ("optimiser", "error"), [(not_in_place, ValueError), (returns, TypeError), (to_nan, ValueError)]
-)
-def test_an_optimiser_that_cannot_work_is_refused_before_the_first_frame(optimiser, error):
-    with pytest.raises(error, match=optimiser.__name__):
-        make_mapper(SYSTEMS["gsfusion"], optimiser=optimiser)
-    with pytest.raises(TypeError, match="loss"):
-        make_mapper(SYSTEMS["gsfusion"], loss=0.5)  # pyright: ignore[reportArgumentType]
-
-
-def only_a_number(rendered, view):
-    return (rendered.rgb - view.rgb).abs().mean()
-
-
-def wrong_shape(rendered, view):
-    return ViewLoss(value=rendered.rgb.mean(), v_rgb=rendered.rgb[:1])
-
-
-def nan_gradient(rendered, view):
-    return ViewLoss(value=rendered.rgb.mean(), v_rgb=rendered.rgb / 0.0)
-
-
-@pytest.mark.parametrize(
-    ("loss", "error"), [(only_a_number, TypeError), (wrong_shape, ValueError), (nan_gradient, ValueError)]
-)
-def test_a_loss_that_returns_something_else_is_named_and_the_map_is_unchanged(loss, error):
-    mapper = make_mapper(SYSTEMS["gsfusion"], loss=loss)
-    frame = open_sequence("room", data=SYSTEMS["gsfusion"].data).mapping[0]
-    with pytest.raises(error, match=loss.__name__):
-        mapper.step(frame)
-    assert (len(mapper.gaussians), mapper.volume.n_blocks, mapper.n_frames) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("name", list(SYSTEMS))
@@ -149,30 +103,6 @@ def test_a_checkpoint_names_them_and_wants_them_again(name):
     [note] = system.from_state_dict(state, loss=own_l1, optimiser=sgd).notes
     assert "own_l1" in note
     assert "charbonnier" in note
-
-
-class Interrupted(BaseException):
-    """As Ctrl-C."""
-
-
-def test_an_interrupted_run_goes_on_to_the_same_map(tmp_path):
-    class StopAfter:
-        def frame_mapped(self, mapper, frame, report):
-            if mapper.n_frames == 3:
-                raise Interrupted
-
-        def finished(self, mapper, mesh, metrics):
-            pass
-
-    whole = run_mapping("room", SYSTEMS["gsfusion"], folder=tmp_path / "whole", evaluate=False, loss=charbonnier)
-    with pytest.raises(Interrupted):
-        run_mapping(
-            "room", SYSTEMS["gsfusion"], folder=tmp_path / "cut", evaluate=False, loss=charbonnier, watch=StopAfter()
-        )
-    with pytest.raises(SequenceError, match="charbonnier"):
-        resume_mapping(tmp_path / "cut", evaluate=False)
-    resumed = resume_mapping(tmp_path / "cut", evaluate=False, loss=charbonnier)
-    assert equal(whole.mapper, resumed.mapper)
 
 
 def visits(passes: KeyframePasses, n: int, keyframes: int, generator, limit: int | None = None) -> list[int]:
@@ -205,7 +135,7 @@ def test_going_on_after_a_stop_is_the_same_as_no_stop(stop):
     state = passes.state_dict()
     visits(passes, 1, 5, torch.Generator())  # what was saved stays as it was
     resumed = KeyframePasses()
-    resumed.load_state_dict(state, n_keyframes=5)
+    resumed.load_state_dict(state)
     assert resumed.begun
     left = 2 - resumed.done
     assert first + visits(resumed, left, 5, generator) == whole
@@ -333,18 +263,3 @@ def test_the_mean_motion_is_taken_back_from_map_and_keyframes(walk):
     torch.testing.assert_close(mapper.gaussians.params.xyz_W, xyz_W, atol=1e-5, rtol=0)
     for k in mapper.keyframes:
         torch.testing.assert_close(k.T_WC, frames[k.index].T_WC, atol=1e-5, rtol=0)
-
-
-def test_frames_between_keyframes_follow_them(walk):
-    _, frames = walk
-    mapper = mapped_poses(frames[:5], True, keyframe_every=4)
-    for _ in mapper.global_optimise(1):
-        pass
-    localiser, given = mapper.localiser, [frame.T_WC for frame in frames]
-    xi = [se3.log(se3.inverse(a.double()) @ b.double()) for a, b in zip(given, localiser.poses, strict=False)]
-    assert [k.index for k in mapper.keyframes] == [0, 4]
-    assert xi[4].norm() > 1e-4
-    torch.testing.assert_close(xi[1], 0.75 * xi[0] + 0.25 * xi[4], atol=1e-6, rtol=0)
-    torch.testing.assert_close(localiser.refined(1, given[1]), localiser.poses[1])
-    beyond = se3.log(se3.inverse(given[7].double()) @ localiser.refined(7, given[7]).double())
-    torch.testing.assert_close(beyond, xi[4], atol=1e-6, rtol=0)

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
-from gsfusion_nb.constants import SHOWN_ALPHA
 from gsfusion_nb.geometry import backproject, pixel_grid, project, se3
 from gsfusion_nb.optim import exposed, exposed_vjp, fit_gain, fit_pose, flow_of_motion, pose_step, pose_system
 from gsfusion_nb.optim.fit_view import PIXELS_PER_OBSERVATION, SMALL_RESIDUAL
 from gsfusion_nb.render import pose_vjp, render, render_forward, render_vjp
+from gsfusion_nb.render.constants import SHOWN_ALPHA
 from gsfusion_nb.types import Camera, GaussianParams
 
 

@@ -178,13 +178,6 @@ def test_hidden_rows_get_no_gradient():
     assert all((getattr(g, name) == 0).all() for name in ("xyz_W", "log_scale", "quat", "opacity_logit"))
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_no_gaussians(scene, generator, dtype):
-    p = project_gaussians(scene.random_map(generator, 0, dtype=dtype), scene.camera, scene.pose)
-    assert p.uv.shape == (0, 2)
-    assert p.uv.dtype == dtype
-
-
 def images_vjp(generator, camera):
     v = torch.randn(5, camera.height, camera.width, generator=generator, dtype=torch.float64)
     return v[:3].permute(1, 2, 0), v[3], v[4]
@@ -225,11 +218,6 @@ def test_equals_central_differences_of_the_whole_picture(scene, generator, degre
     steps = h * torch.eye(6, dtype=torch.float64)
     expected = torch.stack([(loss(step) - loss(-step)) / (2 * h) for step in steps])
     torch.testing.assert_close(found(params, scene, v), expected, atol=1e-4, rtol=1e-5)
-
-
-def test_is_zero_without_gaussians(scene, generator):
-    params, v = scene.random_map(generator, 0), images_vjp(generator, scene.camera)
-    assert torch.equal(found(params, scene, v), torch.zeros(6, dtype=torch.float64))
 
 
 def rigid_ways(scene):
@@ -276,8 +264,7 @@ def test_the_gradient_of_the_matrix_has_no_part_that_bends_it(scene, generator):
     assert not render_autograd(params, scene.camera, scene.pose).rgb.requires_grad
 
 
-@pytest.mark.parametrize("backend", ["numba", "torch"])
-def test_fast_backends_give_the_pose_the_same_gradient(scene, generator, backend):
+def test_numba_gives_the_pose_the_same_gradient(scene, generator):
     """In float32, which is what "numba" computes in; relative to the largest of the six numbers."""
     params, v = scene.random_map(generator, 30, degree=1, dtype=torch.float32), images_vjp(generator, scene.camera)
     v = [image.float() for image in v]
@@ -287,8 +274,9 @@ def test_fast_backends_give_the_pose_the_same_gradient(scene, generator, backend
         out = render_autograd(params, scene.camera, scene.pose.float() @ se3.exp(xi))
         return torch.autograd.grad(weighted((out.rgb, out.depth_m, out.alpha), v), xi)[0]
 
-    expected = gradient()
-    with use_backend(backend):
+    with use_backend("reference"):
+        expected = gradient()
+    with use_backend("numba"):
         found = gradient()
     assert float((found - expected).abs().max() / expected.abs().max()) < 1e-4
 

@@ -3,7 +3,6 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.backends import use_backend
 from gsfusion_nb.render import project_gaussians, tile_intersections
 
 
@@ -22,11 +21,9 @@ def touching_pairs(projection, camera, tile_px):
 
 @pytest.mark.parametrize("tile_px", [1, 4, 8, 16, 64])
 @pytest.mark.parametrize("scale", [0.002, 0.12, 2.0])
-@pytest.mark.parametrize("backend", ["reference", "torch"])
-def test_lists_are_complete_sorted_and_tight(scene, generator, backend, tile_px, scale):
+def test_lists_are_complete_sorted_and_tight(scene, generator, tile_px, scale):
     projection = project_gaussians(scene.random_map(generator, 40, scale=scale), scene.camera, scene.pose)
-    with use_backend(backend):
-        lists = tile_intersections(projection, scene.camera, tile_px=tile_px)
+    lists = tile_intersections(projection, scene.camera, tile_px=tile_px)
     assert lists.tiles_x == -(-27 // tile_px)
     assert lists.tiles_y == -(-19 // tile_px)
     assert len(lists.offset) == lists.tiles_x * lists.tiles_y + 1
@@ -40,8 +37,6 @@ def test_lists_are_complete_sorted_and_tight(scene, generator, backend, tile_px,
         corner = torch.tensor([tile % lists.tiles_x, tile // lists.tiles_x]) * tile_px
         assert (projection.uv[n] - projection.extent_px[n] < corner + tile_px).all()
         assert (projection.uv[n] + projection.extent_px[n] > corner).all()
-    if backend == "torch" and tile_px == 1:  # it cuts the ellipse: with tiles of a pixel exact but for rounding
-        assert len(found) <= 1.02 * len(needed) + 2
     z = projection.depth_m[lists.gaussian]
     for begin, end in zip(lists.offset[:-1].tolist(), lists.offset[1:].tolist(), strict=True):
         assert (z[begin:end].diff() >= 0).all()

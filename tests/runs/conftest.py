@@ -27,5 +27,5 @@ def run_files() -> set[str]:
         "metrics.json",
         "views.json",
         "report.html",
-        "status.json",
+        ".lock",
     }

@@ -11,7 +11,7 @@ import pytest
 from gsfusion_nb.config import replace
 from gsfusion_nb.data import RecordedSequence, apply_options
 from gsfusion_nb.data.readers import folder
-from gsfusion_nb.data.room import RoomSequence, room
+from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun, StreamRun
 
@@ -82,18 +82,3 @@ def test_memory_is_flat_over_300_frames(tmp_path, small_room, config, kind):
     curve = memory_curve(run, 10)
     assert len(run.steps) > 240
     assert bytes_per_frame(curve) < 3 * MAX_BYTES_PER_FRAME  # fewer frames, more scatter
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["sequence", "stream"])
-def test_memory_is_flat_over_5000_frames(tmp_path, config, kind):
-    """The curve is drawn to memory.png in the test's folder."""
-    from gsfusion_nb.drawing.curves import curve_figure
-
-    walk = room(n_frames=960, width=160, height=120)
-    sequence = repeated(written(tmp_path, walk, list(range(0, 100, 4))), 5000)
-    curve = memory_curve(make_run(kind, sequence, config), 25)
-    figure = curve_figure(curve[:, 0], {kind: curve[:, 1]}, x_label="frame", y_label="resident memory, MB")
-    figure.savefig(tmp_path / "memory.png")
-    assert bytes_per_frame(curve) < MAX_BYTES_PER_FRAME
-    assert np.ptp(curve[len(curve) // 5 :, 1]) < 50

@@ -169,7 +169,7 @@ def test_a_rule_that_fails_in_the_middle_loses_nothing(tmp_path, small_room, con
 
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_a_full_memory_ends_the_run_with_everything_saved(system, tmp_path, small_room, monkeypatch):
-    """The mesh does not fit any more either: GSFusion's is made on the processor, RTG-SLAM's is left out."""
+    """The mesh does not fit any more either: it is left out."""
     mapper = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM, "gps_slam": GPSSLAM}[system]
     step = mapper.step
 
@@ -186,14 +186,14 @@ def test_a_full_memory_ends_the_run_with_everything_saved(system, tmp_path, smal
     with pytest.raises(MemoryError) as failure:
         run_mapping(small_room, config, folder=tmp_path / "out")
     message = str(failure.value)
-    knobs = ["the memory of cpu is full", "Gaussians (", "keyframes (", "data.width", "keyframes_on = 'cpu'"]
-    voxels = ["voxel blocks (", "tsdf.voxel_size_m"]
+    knobs = ["the memory of cpu is full", "Gaussians", "keyframes", "data.width", "keyframes_on = 'cpu'"]
+    voxels = ["voxel blocks", "tsdf.voxel_size_m"]
     own = {"gsfusion": [*voxels, "quadtree_threshold"], "rtg_slam": ["share"], "gps_slam": voxels}[system]
     assert all(part in message for part in [*knobs, *own, "The 4 frames mapped before are saved in"]), message
     # GPS-SLAM makes its first Gaussians in the eleventh frame
     assert (len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0) == (system != "gps_slam")
     assert (tmp_path / "out" / "trajectory.txt").read_text().count("\n") >= 3
-    assert (b"element face 0" in (tmp_path / "out" / "mesh.ply").read_bytes()) == (system == "rtg_slam")
+    assert b"element face 0" in (tmp_path / "out" / "mesh.ply").read_bytes()
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["status"] == "failed"
 
 
@@ -238,10 +238,7 @@ def test_an_empty_map_says_why(tmp_path, small_room, config):
     short = replace(config, data__stop=3)
     run = run_mapping(small_room, short, folder=tmp_path / "a", seeding=nothing)
     assert "no Gaussians: the seeding rule 'nothing' proposed none for any of the" in run.run.warnings[-1]
-    run = run_mapping(Odd(small_room, set(), 1e-3), short, folder=tmp_path / "b", evaluate=False)
-    sentence = "but only depth of at least 0.4 m is used; check the depth scale"
-    assert sentence in run.run.warnings[-1]
-    assert sentence in (tmp_path / "b" / "metrics.json").read_text()
+    assert run.run.warnings[-1] in (tmp_path / "a" / "metrics.json").read_text()
 
 
 def test_pressing_twice_does_not_lose_the_map(tmp_path, small_room, config):

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from gsfusion_nb.evaluation import NotComputed
-from gsfusion_nb.runs import FrameRow, ReportData, ReportView, write_report
+from gsfusion_nb.mapping import StepReport
+from gsfusion_nb.runs import ReportData, ReportView, write_report
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
 VOID = {"meta", "link", "img", "br", "input", "hr"}
@@ -77,17 +78,16 @@ def panel(generator, held_out=False, **changes):
 
 def row(index, **changes):
     values = {
-        "index": index,
-        "seconds": 0.2,
+        "frame_index": index,
         "n_gaussians": 100 * (index + 1),
         "n_seeds": 100,
-        "keyframe": index % 2 == 0,
-        "psnr_before": 15.0,
-        "psnr": 18.0,
+        "is_keyframe": index % 2 == 0,
+        "psnr_before_db": 15.0,
+        "psnr_after_db": 18.0,
         "losses": (0.2, 0.1),
-        "stage_seconds": {"integrate": 0.05, "optimise": 0.1},
+        "seconds": {"integrate": 0.05, "optimise": 0.1},
     }
-    return FrameRow(**{**values, **changes})
+    return StepReport(**{**values, **changes})
 
 
 def test_the_whole_page(generator, tmp_path):
@@ -117,7 +117,7 @@ def test_the_whole_page(generator, tmp_path):
         "of 42 frames",
         "not computed: package 'lpips' is not installed", "0.72 cm", "my_own", "tsdf.voxel_size_m", "0.01", "threads",
         "SuperSplat", "notes.txt", "PSNR 21.50 dB · SSIM 0.710", "Quadtree", "2 cells", "2.00 m", "10 cm or more",
-        "time, ms", "PSNR, dB", "keyframe", "pass over the keyframes", "All 6 frames", "integrate", "other",
+        "time, ms", "PSNR, dB", "keyframe", "pass over the keyframes", "All 6 frames", "integrate",
     ):  # fmt: skip
         assert text in page.words, text
     assert len(page.images) == 6 + 6 + 1 + 1
@@ -140,10 +140,10 @@ def test_missing_numbers_give_their_reason(tmp_path):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"depth_m": None, "render_depth_m": None},
-        {"render_depth_m": None},
         {"depth_m": torch.zeros(30, 44), "render_depth_m": torch.zeros(30, 44)},
-        {"render": torch.full((30, 44, 3), math.nan), "psnr": math.nan, "ssim": math.nan},
+        {
+            "render": torch.full((30, 44, 3), math.nan),
+        },
     ],
 )
 def test_views_with_holes(generator, tmp_path, changes):
@@ -155,9 +155,7 @@ def test_views_with_holes(generator, tmp_path, changes):
     "frames",
     [
         [row(0)],
-        [row(0, stage_seconds={}), row(3, stage_seconds={})],
-        [row(i, psnr=math.nan, psnr_before=math.nan, losses=(), keyframe=False) for i in range(3)],
-        [row(0), row(1, losses=(), psnr=math.nan)],
+        [row(i, psnr_after_db=math.nan, psnr_before_db=math.nan, losses=(), is_keyframe=False) for i in range(3)],
     ],
 )
 def test_frames_with_holes(tmp_path, frames):
@@ -172,5 +170,4 @@ def test_panel_of_a_frame_scores_the_render(generator):
     view = RenderOutput(rgb=rgb, depth_m=depth * 0.8, alpha=depth * 0.8, first_index=index, dominant_index=index)
     made = ReportView.of(frame, view, held_out=True)
     assert (made.name, made.psnr, made.ssim) == ("Frame 12", math.inf, 1.0)
-    assert made.render_depth_m is not None
     assert torch.allclose(made.render_depth_m, depth)

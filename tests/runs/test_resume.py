@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import pytest
-import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import gsfusion, rtg_slam
@@ -26,10 +25,10 @@ SETTINGS = {
     "gsfusion": gsfusion(
         "online", **DATA, tsdf__voxel_size_m=0.1, sh_degree=1, keyframe_min_seeds=5, optim__global_iterations=2
     ),
-    "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA, **FEW, keyframes__rotation_deg=0.5),
+    "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA, **FEW),
     "tracked": rtg_slam(
         "room", data__width=0, data__height=0, **DATA, **FEW, tracking__poses="tracked",
-        tracking__back_end__enabled=True, tracking__back_end__keyframe_rotation_deg=0.1,
+        tracking__back_end=True,
     ),
 }  # fmt: skip
 
@@ -49,10 +48,6 @@ def states(tmp_path_factory):
             run.save_checkpoint(folder)
         found[name] = CheckpointStore(folder / CHECKPOINTS).load().state
     return found
-
-
-def rows(state):
-    return state["mapper"]["gaussians"]["rows"]
 
 
 def put(*path, value):
@@ -78,63 +73,17 @@ def filled(index, number):
     return change
 
 
-GAUSSIANS, KEYFRAME = ("mapper", "gaussians"), ("mapper", "keyframes", 0)
-VOLUME, PLACES = ("mapper", "volume"), ("mapper", "localiser")
-BACK_END = (*PLACES, "back_end")
-MAP = (*BACK_END, "map")
+VOLUME = ("mapper", "volume")
 DATA_SETTINGS = ("mapper", "config", "data")
 CHANGES = {
     "gsfusion": [
-        (put(*GAUSSIANS, "rows", "quat", value=lambda x: x[:-1]), r"quat must be \["),
-        (put(*GAUSSIANS, "rows", "xyz_W", value=lambda x: x.double()), r"xyz_W must be torch.float32, got"),
-        (put(*GAUSSIANS, "step_count", value=-1), "step_count must be >= 0"),
-        (put(*GAUSSIANS, "sh_degree", value=2), r"sh must be \["),
-        (put(*VOLUME, "D", value=filled((0, 3), float("nan"))), "D must be finite"),
         (put(*VOLUME, "W", value=filled((0, 3), -1.0)), "W must be at least 0 in every voxel, got -1"),
-        (put(*VOLUME, "rgb", value=lambda x: x[:1]), r"rgb must be \["),
-        (put(*VOLUME, "block_coords", value=lambda x: x[:1].expand(len(x), 3).clone()), "contain every block once"),
-        (put(*VOLUME, "block_coords", value=filled((0, 0), 2**30)), "block coordinates must lie in"),
-        (put(*KEYFRAME, "rgb_u8", value=lambda x: x[:-1]), r"rgb_u8 of keyframe 0 must be \[72, 96, 3\]"),
-        (put(*KEYFRAME, "T_WC", value=lambda x: 2 * x), "T_WC of keyframe 0 must be rigid"),
-        (put(*KEYFRAME, "camera", "fx", value=1e12), "keyframe 0: fx must be between"),
-        (put("mapper", "passes", "queue", value=[99]), "keyframe in the queue must be between 0 and"),
-        (put("mapper", "passes", "done", value=0.5), "passes done must be a whole number, got 0.5"),
-        (put("mapper", "n_frames", value=3), "3 frames must have as many poses, got 5"),
-        (put(*PLACES, "poses", value=filled((1, 0, 0), float("inf"))), "poses must be finite"),
-        (put(*PLACES, "poses", value=filled((1, 0, 0), 7.0)), "pose of frame 1 must be rigid"),
-        (put("run", "next_position", value=2), "next_position must be >= 5, got 2"),
         (put("run", "next_position", value=9), "interrupted after 9 frames, but room has 5 now; expected"),
         (put("run", "timestamps_s", value=lambda x: x[:2]), r"timestamps_s must be \[5\], got \[2\]"),
-        (put("run", "is_optimised", value="no"), "is_optimised must be True or False, got 'no'"),
-        (put("run", "bad_in_a_row", value=True), "bad_in_a_row must be a whole number"),
-        (put("system", value="a" * 5000), r"no system 'aaa"),
     ],
     "settings": [
         (put(*DATA_SETTINGS, "repair", "cx", value=30.0), "was mapped with the camera .*, but room"),
         (put("mapper", "config", "seeding", "options", value={"a": 1}), "has no options"),
-    ],
-    "rtg_slam": [
-        (put(*GAUSSIANS, "rows", "state", value=filled(3, 2)), r"state must be 0 \(unstable\) or 1 \(stable\)"),
-        (put(*GAUSSIANS, "rows", "confidence", value=filled(3, -4)), "confidence must be at least 0 in every row"),
-        (put("mapper", "window", 0, "depth_m", value=filled((3, 3), float("nan"))), "depth_m of frame 0 must be fin"),
-        (put("mapper", "window", 0, "index", value="0"), "index of a frame must be a whole number"),
-        (put("mapper", "final", "adam", "steps", value=-1), "steps must be >= 0"),
-        (put("mapper", "final", "adam", "moments", "quat", 0, value=lambda x: x[:1]), r"moment of quat must be \["),
-        (put("mapper", "final", "anchor", "xyz_W", value=lambda x: x.double()), "anchor of xyz_W must be torch"),
-    ],
-    "tracked": [
-        (put(*PLACES, "tracker", "n_lost", value=-1), "n_lost must be >= 0"),
-        (put(*PLACES, "tracker", "last", "T_WC", value=lambda x: x.float()), "last pose must be torch.float64"),
-        (put(*PLACES, "tracker", "own", "depth_m", value=filled((0, 0), float("inf"))), "own frame must be finite"),
-        (put(*BACK_END, "edges", 0, "j", value=40), "keyframe of an edge must be between 0 and"),
-        (put(*BACK_END, "edges", 0, "kind", value="x"), "must be odometry, landmarks or loop, got 'x'"),
-        (put(*BACK_END, "loops", value=[(77, torch.zeros(0, 2, dtype=torch.int64))]), "keyframe of a loop must be"),
-        (put(*BACK_END, "thumbnails", value=[]), "thumbnails must be one for each of the"),
-        (put(*MAP, "landmarks", "birth", value=filled((0, 1), 10**6)), "first observation of a landmark must be"),
-        (put(*MAP, "landmarks", "of_feature", 0, value=filled(0, 10**6)), "landmarks of a keyframe must be"),
-        (put(*MAP, "database", "features", 0, "uv", value=lambda x: x[:-1]), r"descriptors of keyframe 0"),
-        (put(*MAP, "landmarks", "xyz_B", value=lambda x: x[:-1]), "xyz_B of the landmarks must be"),
-        (put(*MAP, "local", "keyframes", value=[99]), "keyframe of the local map must be"),
     ],
 }  # fmt: skip
 
@@ -159,13 +108,6 @@ def test_what_is_not_changed_is_taken(states, tmp_path, name):
     assert (len(run.steps), run.mapper.n_frames, run.warnings) == (5, 5, [])
 
 
-def test_gaussians_that_are_lost_are_named(states, tmp_path):
-    state = copy.deepcopy(states["gsfusion"])
-    rows(state)["xyz_W"][2, 1] = float("nan")
-    CheckpointStore(tmp_path / CHECKPOINTS).save(state)
-    assert load_run(tmp_path).warnings == ["1 Gaussians of the checkpoint hold NaN or infinities; they are not drawn"]
-
-
 def test_a_checkpoint_of_a_version_with_other_keys_is_a_sentence(states, tmp_path):
     state = copy.deepcopy(states["rtg_slam"])
     for frame in state["mapper"]["window"]:
@@ -173,14 +115,6 @@ def test_a_checkpoint_of_a_version_with_other_keys_is_a_sentence(states, tmp_pat
     CheckpointStore(tmp_path / CHECKPOINTS).save(state)
     with pytest.raises(ValueError, match="is damaged or from another version: TypeError"):
         load_run(tmp_path)
-
-
-def test_a_window_with_floats_under_the_name_of_an_earlier_version_is_taken(states, tmp_path):
-    state = copy.deepcopy(states["rtg_slam"])
-    for frame in state["mapper"]["window"]:
-        frame["rgb"] = frame.pop("colour").float() / 255
-    CheckpointStore(tmp_path / CHECKPOINTS).save(state)
-    assert load_run(tmp_path).mapper.window[0].colour.dtype == torch.float32
 
 
 class Killed(BaseException):
@@ -253,7 +187,6 @@ CHANGES_CHANGED_DATA = {
     "an image not mapped yet": (invert, "rgb/000005.png (changed)"),
     "a pose": (one_digit, "poses.txt (changed)"),
     "the intrinsics": (lambda wall: edit_intrinsics(wall, "fx", 1.01), "intrinsics.json (changed)"),
-    "the depth scale": (lambda wall: edit_intrinsics(wall, "depth_scale", 2), "intrinsics.json (changed)"),
     "a frame more": (one_more, "poses.txt (changed)"),
     "a frame less": (one_less, "rgb/000006.png (deleted)"),
     "a held-out image": (lambda wall: (wall / "depth/000006.png").write_bytes(b""), "depth/000006.png (changed)"),
@@ -268,17 +201,10 @@ def test_changed_data_are_refused_and_named(killed, change):
     with pytest.raises(SequenceError) as refused:
         resume_mapping(folder, evaluate=False)
     assert f"{wall}/{named}" in str(refused.value)
-    assert "--changed-data" in str(refused.value)
 
 
-def test_the_same_data_go_on_and_changed_ones_only_if_asked(killed):
+def test_the_same_data_go_on(killed):
     folder, wall = killed
-    shutil.copytree(folder, folder.parent / "other")
     (wall / "notes.txt").write_text("not read by a run")
     whole = resume_mapping(folder, evaluate=False)
-    assert whole.run.status == "complete"
-    assert not any("files of the recording" in warning for warning in whole.run.warnings)
-    invert(wall)
-    mixed = resume_mapping(folder.parent / "other", evaluate=False, changed_data=True)
-    assert mixed.run.hashes["gaussians"] != whole.run.hashes["gaussians"]
-    assert "rgb/000005.png (changed); it went on all the same" in " ".join(mixed.run.warnings)
+    assert (whole.run.status, whole.run.warnings) == ("complete", [])

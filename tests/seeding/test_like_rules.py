@@ -6,12 +6,10 @@ from typing import Any
 import pytest
 import torch
 
-from gsfusion_nb.config import gsfusion
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import SeedContext, Seeds, StepStats, apply_rule
 from gsfusion_nb.seeding.points import add_up
-from gsfusion_nb.seeding.rules import monogs_like, splatam_like, vg_mapping
+from gsfusion_nb.seeding.rules import monogs_like, vg_mapping
 from gsfusion_nb.types import Camera, Frame
 
 
@@ -57,25 +55,6 @@ def test_splatam_like_seeds_as_splatam_and_remembers_the_radius(frame):
     assert memory == {"scene_radius_m": pytest.approx(2.0)}
 
 
-@pytest.mark.parametrize(
-    ("values", "prunes"),
-    [
-        ({"step_in_frame": 1}, True),
-        ({"step_in_frame": 21}, True),
-        ({"step_in_frame": 2}, False),
-        ({"stage": "passes", "step_in_frame": 1}, False),
-    ],
-)
-def test_splatam_like_removes_transparent_and_large_ones(frame, values, prunes):
-    model = model_with([0.5, 0.004, 0.006, 0.5, 0.5], [0.1, 0.1, 0.1, 0.21, 0.19])
-    ctx = SeedContext(frame, gaussians=model)
-    edit = splatam_like().after_step(ctx, stats_of(frame, **values), {"scene_radius_m": 2.0})
-    assert (edit is not None) == prunes
-    if edit is not None:
-        assert edit.keep is not None
-        assert edit.keep.tolist() == [True, False, True, False, True]
-
-
 def test_monogs_like_clones_splits_and_removes_every_150_steps(frame):
     model = model_with([0.9] * 4 + [0.6, 0.9, 0.9], [0.005, 0.02, 0.005, 0.02, 0.005, 0.11, 0.005])
     large = torch.tensor([3e-4, 3e-4, 1e-4, 1e-4, 3e-4, 3e-4, 3e-4])  # mean length, in units of half the image
@@ -96,45 +75,6 @@ def test_monogs_like_clones_splits_and_removes_every_150_steps(frame):
     model.edit(edit, torch.Generator().manual_seed(0), 0)
     assert len(model) == 3 + 1 + 2  # kept and not split; the clone; the halves
     assert model.row_memory("largest_radius_px").tolist() == [0.0] * 6
-
-
-def test_monogs_like_resets_what_is_not_visible(frame):
-    ctx = SeedContext(frame, gaussians=model_with([0.9, 0.9], [0.02, 0.02]))
-    seen = {"visible": torch.tensor([True, False]), "radius_px": torch.tensor([5.0, 0.0])}
-    edit = monogs_like().after_step(ctx, stats_of(frame, step=2001, **seen), {})
-    assert edit is not None
-    assert edit.keep is None
-    rows, values = edit.set["opacity"]
-    assert rows.tolist() == [False, True]
-    assert values.tolist() == pytest.approx([0.4])
-    assert monogs_like(reset_every=0).after_step(ctx, stats_of(frame, step=2001, **seen), {}) is None
-
-
-@pytest.mark.parametrize("rule", ["splatam_like", "monogs_like"])
-def test_a_map_is_made_with_the_settings_of_the_rule(rule, small_walk):
-    own = ("optim.keyframe_iterations", "optim.frame_iterations", "optim.random_keyframe_iterations")
-    config = gsfusion(
-        "room",
-        tsdf__voxel_size_m=0.05,
-        seeding__rule=rule,
-        seeding__options={"share": 0.1} if rule == "splatam_like" else {"densify_every": 6},
-        seeding__own_settings=own,
-        optim__keyframe_iterations=4,
-        optim__frame_iterations=2,
-        optim__random_keyframe_iterations=2,
-    )
-    mapper = GSFusion(config)
-    reports = [mapper.step(f) for f in small_walk]
-    assert [report.is_keyframe for report in reports] == [True, False, False]
-    assert mapper.config.sh_degree == 0
-    assert mapper.config.optim.depth_weight == (2.0 if rule == "splatam_like" else 0.0)
-    assert mapper.config.optim.isotropy_weight == (0.0 if rule == "splatam_like" else 10.0)
-    seeded = sum(report.n_seeds for report in reports)
-    if rule == "splatam_like":
-        assert 0 < len(mapper.gaussians) <= seeded
-        assert "scene_radius_m" in mapper.memory
-    else:
-        assert reports[1].n_gaussians not in (0, seeded)  # some were cloned, split or removed after 6 steps
 
 
 def placed(opacity: list[float], z: list[float]) -> GaussianModel:

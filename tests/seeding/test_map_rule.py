@@ -18,7 +18,6 @@ from gsfusion_nb.seeding import (
     check_contexts,
     check_memory,
     copy_memory,
-    describe_memory,
     every,
     get_rule,
     is_map_rule,
@@ -60,17 +59,6 @@ def test_a_class_is_registered_by_its_name_and_its_fields_are_its_options():
     assert "Every n-th cell" in rule_source(Thinning)
 
 
-def test_a_class_is_asked_with_its_options_and_the_memory_of_the_context(ctx):
-    n = len(ctx.cells())
-    ctx.memory.clear()
-    sizes = [len(apply_rule(Thinning, ctx, {"first": 2})) for _ in range(2)]
-    assert sizes == [-(-n // 2), -(-n // 3)]
-    assert ctx.memory == {"calls": 3}
-    with pytest.raises(TypeError, match=r"'Thinning' has no options \['last'\]; known: \['first', 'side'\]"):
-        apply_rule(Thinning, ctx, {"last": 2})
-    ctx.memory.clear()
-
-
 @pytest.mark.parametrize(
     ("when", "due", "starts"),
     [
@@ -95,8 +83,6 @@ def test_memory_holds_what_a_checkpoint_can_save(ctx):
     assert copied["seen"].sum() == 0
     assert len(copied["deep"]["list"]) == 4
     assert isinstance(copied["deep"]["list"][3], tuple)
-    assert describe_memory(memory) == "seen 2 x 3 float32, n 3, deep (1 values)"
-    assert describe_memory({}) == "empty"
     with pytest.raises(
         TypeError, match=r"'mine' keeps a set in its memory\['deep'\]\['s'\], which a checkpoint cannot"
     ):
@@ -146,20 +132,6 @@ def test_the_fingerprint_of_a_class_sees_options_checks_and_when():
     assert rule_fingerprint(run_cell()) == first
     changed = [rule_fingerprint(run_cell(**change)) for change in ({"n": 2}, {"when": 2}, {"least": -1})]
     assert len({first, *changed}) == 4
-
-
-@pytest.mark.parametrize(
-    "memory",
-    [
-        {"xyz_W": torch.zeros(3, 3)},
-        {"at": {"xyz_W": torch.zeros(3, 3), "frame_index": torch.zeros(2, dtype=torch.int64)}},
-        {"T_WC": torch.eye(4), "frame_index": torch.zeros(1, dtype=torch.int64)},
-        {"normal_W": torch.zeros(1, 3), "frame_index": 0},
-    ],
-)
-def test_values_in_world_coordinates_need_the_frame_of_each_row(memory):
-    with pytest.raises(TypeError, match=r"'Walker'.*frame_index"):
-        check_memory("Walker", memory)
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,6 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
 from gsfusion_nb.seeding.image_features import halved
-from gsfusion_nb.seeding.rules.hf_slam import alpha_behind
-from gsfusion_nb.seeding.sampling import in_front
 from gsfusion_nb.tsdf import RaycastOutput
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -137,25 +135,6 @@ def test_pixels_that_the_map_does_not_show_rightly(rule, options, count):
     assert len(apply_rule(rule, half_wrong(), options)) == count
 
 
-@pytest.mark.parametrize("rule", ["splatam", "mm3dgs", "gaus_slam", "hf_slam"])
-def test_every_pixel_of_the_first_frame_as_large_as_a_pixel(rule):
-    ctx = first(wall(fy=30.0))
-    seeds = apply_rule(rule, ctx)
-    assert pixels_of(ctx, seeds).all()
-    assert len(seeds) == N
-    torch.testing.assert_close(seeds.scale_m[:, 0], torch.full((N,), 2.0 / 45.0))  # z over the mean of 60 and 30
-    assert (seeds.opacity == 0.5).all()
-
-
-@pytest.mark.parametrize("rule", ["splatam", "mm3dgs", "gaus_slam", "vtgaussian"])
-def test_with_holes_the_median_over_all_pixels_is_zero(rule):
-    """Of 1,200 pixels with depth, 1,100 are 1 cm too far away and 100 1 cm too near; 1,872 have no depth."""
-    hole, near = some(N - 1200, "right"), some(100)
-    ctx = staged(wall(depth_m=with_values(2.0, (hole, 0.0))), depth_m=with_values(2.01, (near, 1.99)))
-    assert len(apply_rule(rule, ctx)) == (1200 if rule == "mm3dgs" else 1100)
-    assert len(apply_rule(rule, ctx, {"median_of": "measured"})) == 0
-
-
 def test_hf_slam_looks_at_colours_and_at_depth_relative_to_the_distance():
     red = some(30)
     rgb = torch.full((H, W, 3), 0.05)
@@ -188,42 +167,6 @@ def test_gaussian_slam_starts_a_submap_with_random_pixels_gradients_and_edges():
     step = (column == W // 2 - 1) | (column == W // 2)  # where central differences see it
     assert (chosen & step).sum() == 2 * H
     assert not (chosen & ((column < W // 2 - 2) | (column > W // 2 + 1))).any()
-
-
-def test_gaussian_slam_reseeds_where_a_submap_starts():
-    assert len(apply_rule("gaussian_slam", staged())) == 0
-    again = staged(starts_submap=True)
-    assert len(apply_rule("gaussian_slam", again)) == N
-    assert len(apply_rule("gaussian_slam", again, {"restart": False})) == 0
-
-
-@pytest.mark.parametrize(("preset", "left"), [("replica", N), ("tum", N - 100), ("scannetpp", N)])
-def test_gaussian_slam_pushes_back_and_rejects_what_is_near(preset, left):
-    everything = apply_rule("gaussian_slam", first())
-    torch.testing.assert_close(everything.xyz_W[:, 2], torch.full((N,), 2.0 * 1.005))
-    spacing = 2.0 * 1.005 / F
-    inside = everything.scale_m[:, 0].view(H, W)[2:-2, 2:-2]
-    torch.testing.assert_close(inside, torch.full_like(inside, spacing), atol=1e-5, rtol=0)
-    beside = everything.xyz_W[:100] + torch.tensor([0.0, 0.0, 0.005])  # 5 mm: between the limits 0.3 mm and 1 cm
-    ctx = staged(alpha=0.0, xyz_W=beside)
-    module = importlib.import_module("gsfusion_nb.seeding.rules.gaussian_slam")
-    kept = dataclasses.replace(module.PRESETS[preset], removes_outliers=False, frame_points=0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(module.PRESETS, preset, kept)
-        assert len(apply_rule("gaussian_slam", ctx, {"preset": preset})) == left
-
-
-def test_cg_slam_measures_distances_to_the_map_as_well():
-    bare = staged(alpha=with_values(1.0, (some(1, "right"), 0.0)), xyz_W=first().seeds_at(pair(), 1.0).xyz_W)
-    seeds = apply_rule("cg_slam", bare)
-    assert len(seeds) == 1
-    distances = (bare.map.xyz_W - seeds.xyz_W).norm(dim=1)
-    torch.testing.assert_close(seeds.scale_m[0, 0], distances.square().mean().sqrt())
-
-
-def pair() -> torch.Tensor:
-    """Two places in the image."""
-    return torch.tensor([[60.5, 1.5], [50.5, 3.5]])
 
 
 def test_photo_slam_takes_every_corner_with_depth():
@@ -262,17 +205,6 @@ def test_gs_icp_adds_the_whole_grid_or_nothing():
 def poses(n: int) -> tuple[torch.Tensor, ...]:
     """As many past frames."""
     return (torch.eye(4),) * n
-
-
-def test_gs_icp_takes_the_shape_of_the_neighbourhood():
-    seeds = apply_rule("gs_icp", first(), {"density": 6.25, "neighbours": 9})
-    middle = ((seeds.xyz_W[:, :2].abs() < 0.5).all(dim=1)).nonzero()[0, 0]
-    # 3 x 3 grid points 4 px apart: variance 2/3 of the distance squared along x and y, none along z
-    spacing = 4 * 2.0 / F
-    wanted = (2 / 3) ** 0.5 * spacing / (2 * 2.0**1.5)
-    assert seeds.scale_m[middle].tolist() == pytest.approx([1e-7**0.5, wanted, wanted], rel=1e-4)
-    thin = quaternion.to_matrix(seeds.quat)[middle, :, 0]
-    assert thin.abs().tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-5)
 
 
 def test_two_dgs_slam_seeds_empty_voxels_only():
@@ -337,17 +269,6 @@ def test_vings_counts_the_wrong_pixels_and_draws_from_all():
     assert begin.opacity.unique().tolist() == pytest.approx([0.1])
 
 
-def test_hf_slam_sums_opacities_behind_each_gaussian():
-    """Two Gaussians over the whole view, of opacity a: a (1 - a) + a (1 - a)^2 in place of a + (1 - a) a."""
-    model = GaussianModel(sh_degree=0)
-    centres = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 3.0]])
-    model.append(Seeds.isotropic(centres, torch.full_like(centres, 0.5), torch.full((2,), 1e3), opacity=0.6))
-    ctx = SeedContext(wall(), gaussians=model)
-    torch.testing.assert_close(ctx.render().alpha, torch.full((H, W), 0.84), atol=1e-4, rtol=0)
-    torch.testing.assert_close(alpha_behind(ctx), torch.full((H, W), 0.24 + 0.096), atol=1e-4, rtol=0)
-    assert len(apply_rule("hf_slam", ctx)) == N  # 0.336 is below 0.5
-
-
 def test_gaus_slam_divides_the_depth_by_the_opacity():
     """Half of the view is covered by 0.7 at 2 m, so D^ is 1.4 m; 30 pixels are 1 m too far away."""
     far = some(30)
@@ -376,17 +297,6 @@ def test_on_the_fly_nvs_seeds_detail_that_the_picture_lacks():
     assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=0.5), everything)) == len(seeds)
 
 
-@pytest.mark.parametrize(("z", "opacity", "hidden"), [(1.9, 0.98, True), (2.1, 0.98, False), (1.5, 0.5, False)])
-def test_on_the_fly_nvs_drops_what_the_map_hides(z, opacity, hidden):
-    """A Gaussian over the whole view at z: hidden is 2 m >= z / opacity."""
-    model = GaussianModel(sh_degree=0)
-    centre = torch.tensor([[0.0, 0.0, z]])
-    model.append(Seeds.isotropic(centre, torch.full_like(centre, 0.5), torch.full((1,), 1e3), opacity=opacity))
-    ctx = SeedContext(stripes(), gaussians=model)
-    assert (len(apply_rule("on_the_fly_nvs", ctx)) == 0) == hidden
-    assert len(apply_rule("on_the_fly_nvs", ctx, {"drop_hidden": False})) > 0
-
-
 def test_cone_gs_draws_pixels_by_their_colour_error():
     red = some(100)
     rgb = torch.full((H, W, 3), 0.5)
@@ -411,21 +321,3 @@ def test_vg_mapping_seeds_what_is_new_or_looks_different():
     assert 0 < len(half) < count
     assert bool((half.xyz_W[:, 0] >= 0).all())
     assert len(apply_rule("vg_mapping", staged(fine, rgb=1 - fine.rgb, volume=seen, config=settings))) > count // 2
-
-
-def test_in_front_is_what_the_camera_sees_through():
-    centres = torch.tensor([[0.0, 0, 1.0], [0, 0, 1.99], [0, 0, 2.5], [0, 0, -1.0], [9, 0, 1.0], [0.5, 0, 1.0]])
-    ctx = staged(xyz_W=centres)
-    assert in_front(ctx, 0.015).tolist() == [True, False, False, False, False, True]
-    assert in_front(ctx, 0.015, some(N // 2)).tolist() == [False] * 6
-    assert in_front(ctx, 0.005).tolist() == [True, True, False, False, False, True]
-
-
-@pytest.mark.parametrize(("rule", "options"), [("gaus_slam", {}), ("gaus_slam", {"share": 0.5}), ("two_dgs_slam", {})])
-def test_discs_lie_in_the_surface(rule, options):
-    seeds = apply_rule(rule, first(), options)
-    thin = quaternion.to_matrix(seeds.quat)[:, :, 2]
-    assert thin[:, 2].median().item() == pytest.approx(-1.0, abs=1e-5)
-    torch.testing.assert_close(seeds.scale_m[:, 2], 0.1 * seeds.scale_m[:, 1])
-    facing = -seeds.xyz_W / seeds.xyz_W.norm(dim=1, keepdim=True)
-    assert ((thin * facing).sum(dim=1) > 0.7).all()  # also at the border, where there is no normal

@@ -114,17 +114,6 @@ def test_a_pixel_has_the_first_kind_that_applies():
     assert not any(mask.any() for mask in nowhere.values())
 
 
-def test_the_masks_of_a_rendered_scene():
-    kinds = masks(context(patches()))
-    inner = slice(1, H - 1)  # the border has no normals
-    for columns_, kind in ((LEFT, None), (MIDDLE, DEPTH_ERROR), (RIGHT, COLOUR_ERROR), (slice(18, 22), NEW_AREA)):
-        middle = slice(columns_.start + 3, columns_.stop - 3) if columns_.stop - columns_.start > 6 else columns_
-        for k, mask in kinds.items():
-            assert mask[inner, middle].float().mean() == (k == kind), (kind, k)
-    assert torch.stack(list(kinds.values())).sum(0).max() == 1
-    assert not any(mask[[0, -1]].any() for mask in kinds.values())
-
-
 def test_without_a_map_every_pixel_is_new_and_disc_lies_in_the_surface():
     ctx = check_contexts()["new"]
     for alone in (ctx, SeedContext(ctx.frame)):
@@ -165,16 +154,6 @@ def test_stable_discs_get_a_transparent_one_over_their_wrong_colour():
     assert not over_left.any()
 
 
-@pytest.mark.parametrize("share", [0.05, 0.3, 1.0])
-def test_a_share_of_each_kind_is_drawn(share):
-    ctx = context(patches())
-    kinds = masks(ctx)
-    seeds = apply_rule("rtg_slam", ctx, {"share": share, "fidelity": "paper"})
-    for kind in (NEW_AREA, DEPTH_ERROR, COLOUR_ERROR):
-        assert int((seeds.tag == kind).sum()) == round(share * int(kinds[kind].sum())) > 0
-    assert len(torch.unique(seeds.xyz_W, dim=0)) == len(seeds)
-
-
 def small_discs(n_side: int, z: float, radius_m: float, rgb: tuple[float, float, float], stable: bool) -> SurfelModel:
     """A sheet of discs three and a half radii apart, all over the view."""
     step = 3.5 * radius_m
@@ -197,23 +176,6 @@ def small_discs(n_side: int, z: float, radius_m: float, rgb: tuple[float, float,
     return model
 
 
-def test_measured_leaves_out_opaque_discs_in_the_reach_of_others():
-    """On a sheet of discs in the wall, of another colour; a sheet 20 cm before the wall reaches nothing there."""
-
-    def near(fidelity: str, z: float) -> tuple[int, int, int]:
-        """Seeds within three radii of a disc that are opaque, all that are transparent, depth errors."""
-        model = small_discs(6, z, 0.03, (0.95, 0.05, 0.05), stable=True)
-        seeds = apply_rule("rtg_slam", context(model), {"share": 0.03, "fidelity": fidelity})
-        away = torch.cdist(seeds.xyz_W, model.params.xyz_W).amin(1)
-        opaque = seeds.opacity > 0.5
-        return int((opaque & (away < 0.09)).sum()), int((~opaque).sum()), int((seeds.tag == DEPTH_ERROR).sum())
-
-    (in_reach, clear, _), (left, clear_too, wrong_too) = near("paper", 2.0), near("measured", 2.0)
-    assert in_reach > left == wrong_too == 0
-    assert min(clear, clear_too) > 0
-    assert near("measured", 1.8)[2] > 0
-
-
 CODE = {"share": 0.2, "fidelity": "code"}
 
 
@@ -230,30 +192,6 @@ def test_code_near_the_plane_of_a_stable_disc_is_transparent():
         assert pytest.approx(opacity) in seen
         if opacity == 0.99:
             assert len(seen) == 1
-
-
-def test_code_adds_nothing_near_unstable_discs_nor_in_reach_of_any():
-    ctx = context(small_discs(24, 2.0, 0.01, (0.95, 0.05, 0.05), stable=False))
-    seeds = apply_rule("rtg_slam", ctx, CODE)
-    away = torch.cdist(seeds.xyz_W, ctx.map.xyz_W).amin(1)
-    assert away.min() > 0.03  # three radii
-    assert seeds.opacity.unique().tolist() == [pytest.approx(0.99)]
-    assert seeds.scale_m.max() <= 0.05 + 1e-7
-
-
-NONE = torch.zeros(0, 3), torch.zeros(0)
-
-
-def grid(n: int, spacing: float) -> torch.Tensor:
-    a = torch.arange(n) * spacing
-    return torch.stack([*torch.meshgrid(a, a, indexing="ij"), torch.zeros(n, n)], dim=-1).reshape(-1, 3)
-
-
-def test_the_middle_of_a_grid_is_as_wide_as_its_spacing():
-    size = gaps_around(grid(5, 0.02), *NONE).size_m.view(5, 5)
-    torch.testing.assert_close(size[1:-1, 1:-1], torch.full((3, 3), 0.02))
-    # a corner has neighbours at 1, 1 and sqrt(2) spacings: sqrt((1 + 1 + 2) / 3)
-    assert float(size[0, 0]) == pytest.approx(0.02 * math.sqrt(4 / 3), rel=1e-5)
 
 
 def test_by_hand_with_an_existing_disc():

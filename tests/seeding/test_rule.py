@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from gsfusion_nb.seeding import (
-    ChangedInputError,
     SeedContext,
     Seeds,
     apply_rule,
@@ -128,11 +127,11 @@ def test_wrong_options_are_refused(options, sentence, ctx):
             r"'faulty' returned invalid seeds: expected Seeds, got NoneType \(is there a ret",
         ),
         (lambda: [1, 2], TypeError, "expected Seeds, got list"),
-        (lambda: {"scale_m": torch.zeros(3, 3)}, ValueError, "scale_m must be > 0, got 9 other values, from 0 to 0"),
+        (lambda: {"scale_m": torch.zeros(3, 3)}, ValueError, "scale_m must be above 0 .*, got 0 to 0"),
         (lambda: {"scale_m": torch.ones(3)}, ValueError, r"scale_m must be \[3, 3\], got \[3\]"),
-        (lambda: {"rgb": torch.full((3, 3), 128.0)}, ValueError, "rgb must lie in 0..1, got 9 other values, from 128"),
-        (lambda: {"opacity": torch.ones(3)}, ValueError, "opacity must lie strictly between 0 and 1, got 3 other"),
-        (lambda: {"quat": torch.zeros(3, 4)}, ValueError, "quat must not be zero"),
+        (lambda: {"rgb": torch.full((3, 3), 128.0)}, ValueError, "rgb must be in 0..1, got 128 to 128"),
+        (lambda: {"opacity": torch.ones(3)}, ValueError, "opacity must be strictly between 0 and 1"),
+        (lambda: {"quat": torch.zeros(3, 4)}, ValueError, "length of quat must be above 0"),
         (lambda: {"xyz_W": torch.full((3, 3), float("nan"))}, ValueError, "xyz_W must be finite, got 9 NaN"),
         (lambda: {"xyz_W": torch.ones(3, 3).long()}, ValueError, "xyz_W must be floating point, got torch.int64"),
     ],
@@ -158,36 +157,3 @@ def test_one_per_voxel_keeps_the_largest_and_of_equals_the_first():
     seeds = Seeds.isotropic(voxel.float(), torch.zeros(6, 3), size, tag=torch.arange(6))
     assert keep_one_per_voxel(seeds, voxel).tag.tolist() == [1, 2, 4]
     assert len(keep_one_per_voxel(seeds[:0], voxel[:0])) == 0
-
-
-def test_one_per_voxel_counts_the_gaussians_of_the_map():
-    voxel = torch.tensor([[0, 0, 0], [5, 0, 0], [-1, 0, 0], [5, 0, 0]])
-    seeds = Seeds.isotropic(voxel.float(), torch.zeros(4, 3), torch.ones(4), tag=torch.arange(4))
-    taken = torch.tensor([[5, 0, 0], [0, 0, 1], [5, 0, 0]])
-    assert keep_one_per_voxel(seeds, voxel, taken).tag.tolist() == [0, 2]
-    assert len(keep_one_per_voxel(seeds, voxel, voxel)) == 0
-    assert keep_one_per_voxel(seeds, voxel, taken[:0]).tag.tolist() == [0, 1, 2]
-    assert len(keep_one_per_voxel(seeds[:0], voxel[:0], taken)) == 0
-
-
-def test_seeds_too_far_away_are_refused_with_the_row(ctx):
-    def faulty(ctx: SeedContext, *, column: float = 0.0) -> Seeds:
-        seeds = ctx.cells()
-        values = seeds.scale_m if column else seeds.xyz_W
-        values[3, 1] = 1e30
-        return seeds
-
-    with pytest.raises(ValueError, match=r"rule 'faulty' .*xyz_W must be within 10,000 m of .* first of them in row 3"):
-        apply_rule(faulty, ctx)
-    with pytest.raises(ValueError, match=r"rule 'faulty' .*scale_m must be below 10,000 m.* first of them in row 3"):
-        apply_rule(faulty, ctx, {"column": 1.0})
-
-
-def test_a_rule_that_changes_its_inputs_is_refused(ctx):
-    def clears_depth(ctx: SeedContext) -> Seeds:
-        seeds = ctx.cells()
-        ctx.frame.depth_m[0] = 0.0
-        return seeds
-
-    with pytest.raises(ChangedInputError, match=r"rule 'clears_depth' changed frame.depth_m in place"):
-        apply_rule(clears_depth, ctx)

@@ -210,15 +210,6 @@ def test_place_size_and_opacity(name):
     assert float(seeds.opacity[row]) == pytest.approx(case.opacity, abs=1e-5)
 
 
-def test_a_fine_gaussian_comes_besides_the_coarse_one():
-    ctx = context(CASES["vtgaussian, fine"])
-    seeds = apply_rule("vtgaussian", ctx)
-    edges = int(ctx.edges(50.0, 200.0, 3, euclidean=True).sum())
-    assert edges > 0
-    assert len(seeds) == W * H + 4 * edges
-    assert len(apply_rule("vtgaussian", ctx, {"fine": False})) == W * H
-
-
 FINE = SeedingConfig(quadtree_threshold=0.02, quadtree_contrast="std")
 
 
@@ -250,29 +241,3 @@ def test_cells_in_the_hole_get_a_gaussian_at_the_depth_around_it(small_walk):
     assert ((xyz_C[:, 2] / small_walk[0].depth_m[j, i]).log().abs() < 0.5).all()
     torch.testing.assert_close(seeds.rgb, frame.rgb[j, i])
     assert (seeds.scale_m[:, 0] * frame.camera.fx / xyz_C[:, 2] > 1.9).all()  # no cell narrower than 3 pixels
-
-
-def test_none_where_the_map_shows_something_or_nothing_is_missing(small_walk):
-    frame = holed(small_walk[0])
-    whole = SeedContext(small_walk[0], config=FINE)
-    assert len(cells_without_depth(whole)) == 0
-    assert len(cells_without_depth(SeedContext(dataclasses.replace(frame, depth_m=torch.zeros(60, 80))))) == 0
-    opaque = dataclasses.replace(whole.cells(), opacity=torch.full((len(whole.cells()),), 0.95))
-    half = opaque[whole.quadtree_cells().centre_uv[:, 0] < 40]
-    gaussians = GaussianModel(0)
-    gaussians.append(half, 0)
-    ctx = SeedContext(frame, gaussians=gaussians, config=FINE)
-    xyz_C = se3.apply(se3.inverse(frame.T_WC), cells_without_depth(ctx).xyz_W)
-    u = project(frame.camera, xyz_C)[:, 0]
-    assert (u > 40).float().mean() > 0.9
-
-
-def test_the_setting_adds_them_to_the_rule_and_skip_is_as_published(small_walk):
-    frame = holed(small_walk[0])
-    skip = SeedContext(frame, config=dataclasses.replace(FINE, without_depth="skip"))
-    with_depth = apply_rule("gsfusion", skip, {"coverage": False})
-    both = apply_rule("gsfusion", SeedContext(frame, config=FINE), {"coverage": False})
-    assert torch.equal(with_depth.xyz_W, skip.cells().xyz_W)
-    n = len(with_depth)
-    assert torch.equal(both.xyz_W[:n], with_depth.xyz_W)
-    assert len(both) - n == len(cells_without_depth(SeedContext(frame, config=FINE))) > 0

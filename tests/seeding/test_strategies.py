@@ -9,7 +9,7 @@ import torch
 
 from gsfusion_nb.data.room import room
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.seeding import SeedContext, StepStats, abs_image_gradient, image_gradient, restart_statistics
+from gsfusion_nb.seeding import SeedContext, StepStats, restart_statistics
 from gsfusion_nb.seeding.points import add_up
 from gsfusion_nb.seeding.rules import default_strategy, mcmc
 from gsfusion_nb.types import Seeds
@@ -156,24 +156,6 @@ def test_grows_and_prunes_the_same_rows_as_gsplat(gsplat, model, frame, generato
     n_removed = strategy._prune_gs(params, optimisers, state, step)
     assert min(n_copied, n_split, n_removed) > 0
     assert_same(model, params, n_drawn=2 * int(edit.split.sum()))
-
-
-@pytest.mark.parametrize("absgrad", [False, True])
-def test_gradients_are_summed_up_as_in_gsplat(gsplat, model, frame, generator, absgrad):
-    strategy = gsplat.DefaultStrategy(absgrad=absgrad)
-    state, (params, _) = strategy.initialize_state(), theirs(model)
-    for _ in range(3):
-        visible = torch.rand(N, generator=generator) < 0.7
-        v_uv = 1e-4 * torch.randn(N, 2, generator=generator)
-        v_uv_abs = v_uv.abs() * (1 + torch.rand(N, 2, generator=generator))
-        add_up(model, visible, v_uv, frame.camera, v_uv_abs)
-        means2d: Any = torch.zeros(1, N, 2, requires_grad=True)
-        means2d.grad, means2d.absgrad = v_uv[None].clone(), v_uv_abs[None].clone()
-        size = {"width": frame.camera.width, "height": frame.camera.height, "n_cameras": 1}
-        radii = (visible[:, None] * torch.tensor([2, 3]))[None]
-        strategy._update_state(params, state, size | {"means2d": means2d, "radii": radii, "gaussian_ids": None})
-    found = abs_image_gradient(model) if absgrad else image_gradient(model)
-    torch.testing.assert_close(found, state["grad2d"] / state["count"].clamp_min(1))
 
 
 def test_moves_and_adds_the_same_rows_as_gsplat(gsplat, model, frame, monkeypatch):

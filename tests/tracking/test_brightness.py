@@ -1,7 +1,6 @@
 """The brightness error that joins ICP: its derivative, its exposure, and what it finds where depth slides."""
 
 import dataclasses
-import math
 
 import pytest
 import torch
@@ -12,13 +11,10 @@ from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking import (
     BrightnessSystem,
     Pictures,
-    Tracker,
     align,
     brightness_levels,
     brightness_rows,
-    brightness_system,
     depth_pyramid,
-    picture_of,
 )
 
 from .conftest import CAMERA
@@ -66,39 +62,3 @@ def test_a_painted_wall_is_found_although_its_depth_slides(plane_scene, assert_p
     assert_pose(found.T_WC, T_WC, 1e-3, 0.03)
     assert pictures.offset == pytest.approx(-0.1, abs=0.01)
     assert float((alone.T_WC - T_WC)[:3, 3].norm()) > 0.02
-
-
-def test_pixels_without_a_known_neighbour_or_behind_the_surface_say_nothing(plane_scene):
-    scene, T_WC = plane_scene("wall", painted=True), torch.eye(4).double()
-    frame, surface = scene.frame(T_WC), scene(CAMERA, T_WC)
-    level = depth_pyramid(frame.depth_m, CAMERA, (1,))[0]
-    brightness = frame.rgb.mean(-1)
-
-    def n(surface, limit_m=0.05, level=level):
-        picture = picture_of(surface, surface.rgb, 1)
-        return brightness_system(level, brightness, T_WC, picture, max_distance_m=limit_m).n
-
-    hole = dataclasses.replace(surface, depth_m=surface.depth_m.clone())
-    hole.depth_m[50:60, 50:60] = 0.0
-    everything = n(surface)
-    edge = 2 * (CAMERA.width + CAMERA.height) - 4
-    assert everything == pytest.approx(CAMERA.width * CAMERA.height - edge, rel=0.01)
-    assert everything - n(hole) == pytest.approx(100 + 40, abs=3)
-    behind = dataclasses.replace(surface, depth_m=surface.depth_m - 0.1)
-    assert (n(behind), n(behind, 0.2)) == (0, everything)
-    grey = dataclasses.replace(surface, rgb=torch.full_like(surface.rgb, 0.5))
-    assert n(grey) == 0
-    assert Pictures.of({1: brightness}, dataclasses.replace(surface, rgb=None)) is None
-
-
-def test_a_turn_in_a_corridor_ends_before_a_bare_wall(plane_scene, assert_pose):
-    """Depth shows the turn, but never the way along the corridor, and says so. Pictures show everything."""
-    angles = [math.pi / 2 * math.sin(math.pi / 32 * k) ** 2 for k in range(17)]
-    turn = [se3.exp(torch.tensor([0.0, 0, 0, 0, angle, 0]).double()) for angle in angles]
-    for painted, limit_m, limit_deg in ((False, 2.0, 0.1), (True, 0.005, 0.15)):
-        scene, tracker = plane_scene("corridor", painted=painted), Tracker()
-        reports = [tracker.track(scene.frame(T, i), scene) for i, T in enumerate(turn)]
-        assert tracker.n_lost == 0
-        assert {r.status for r in reports[1:]} == {"ok" if painted else "degenerate"}
-        for report, T in zip(reports, turn, strict=True):
-            assert_pose(report.T_WC, T, limit_m, limit_deg)

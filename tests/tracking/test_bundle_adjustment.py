@@ -9,7 +9,6 @@ import torch
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.bundle_adjustment import CAUCHY, LandmarkRows, adjust, landmark_pose, landmark_sums
 from gsfusion_nb.tracking.landmarks import Observations
-from gsfusion_nb.tracking.pose_graph import Edge, odometry_information
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=161.0, cy=119.0)
@@ -80,43 +79,6 @@ def test_wrong_matches_are_outweighed(scene, generator):
     assert off(bad.T_WC, T_WC)[0] < 1.5 * off(good.T_WC, T_WC)[0]
 
 
-def test_relative_poses_hold_what_no_landmark_sees(scene, generator):
-    """The last view sees nothing: it keeps its place beside the view before."""
-    T_WC, _ = scene
-    start, seen = disturbed(scene, generator)
-    kept = seen.keyframe < 4
-    columns = {name: getattr(seen, name)[kept] for name in ("keyframe", "landmark", "uv", "depth_m", "sigma_px")}
-    edge = Edge(
-        i=3, j=4, T_ij=se3.inverse(T_WC[3]) @ T_WC[4], information=odometry_information(0.2, 0.01), kind="odometry"
-    )
-    found = adjust(CAMERA, start, dataclasses.replace(seen, **columns), [edge], HELD, iterations=20)
-    assert max(off(found.T_WC, T_WC)) < 1e-4
-
-
-def test_without_any_landmark_the_edges_decide(scene):
-    """A back end whose keyframes show nothing twice has poses and edges alone."""
-    T_WC, seen = scene
-    none = Observations(**{name: column[:0] for name, column in vars(seen).items()})
-    near = odometry_information(0.2, 0.01)
-    edges = [
-        Edge(i=k, j=k + 1, T_ij=se3.inverse(T_WC[k]) @ T_WC[k + 1], information=near, kind="odometry") for k in range(4)
-    ]
-    start = T_WC.clone()
-    start[4, :3, 3] += 0.1
-    assert max(off(adjust(CAMERA, start, none, edges, HELD, iterations=20).T_WC, T_WC)) < 1e-4
-
-
-def test_gtsam_finds_the_same(scene, generator):
-    """Its depths have slightly other weights, so the optimum is close, but not the same."""
-    pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
-    from gtsam_landmarks import optimise_landmarks
-
-    start, seen = disturbed(scene, generator)
-    seen = dataclasses.replace(seen, uv=seen.uv + 0.3 * torch.randn(seen.uv.shape, generator=generator).double())
-    mine, theirs = adjust(CAMERA, start, seen, [], HELD, iterations=20), optimise_landmarks(CAMERA, start, seen, [])
-    assert max(off(mine.T_WC, theirs.T_WC)) < 0.05
-
-
 T_TRUE = se3.exp(torch.tensor([0.4, -0.3, 0.2, 0.3, -0.8, 0.2], dtype=torch.float64))
 
 
@@ -162,12 +124,3 @@ def test_the_pose_survives_wrong_matches(rows, generator, assert_pose):
     assert_pose(found, T_TRUE, 4e-3, 0.2)
     assert spoiled.agree(found)[12:].all()
     assert spoiled.agree(found)[:12].mean() < 0.3
-
-
-def test_points_behind_the_camera_give_nothing(rows):
-    away = T_TRUE @ se3.exp(torch.tensor([0, 0, 10.0, 0, 0, 0], dtype=torch.float64))
-    sums = landmark_sums(rows, away)
-    assert not sums.H.any()
-    assert not sums.b.any()
-    assert sums.cost == 0
-    assert not rows.agree(away).any()

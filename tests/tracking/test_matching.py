@@ -1,19 +1,12 @@
 """Matching and relative poses: by hand, by finite differences, from exact geometry."""
 
-import copy
-
 import pytest
 import torch
 
 from gsfusion_nb.geometry import project, se3
-from gsfusion_nb.tracking.bundle_adjustment import LandmarkRows, landmark_pose
 from gsfusion_nb.tracking.features import Features
 from gsfusion_nb.tracking.matching import (
     PointPairs,
-    fit_pairs,
-    found_near,
-    is_inlier,
-    match_features,
     pose_errors,
     refine_pose,
     relative_pose,
@@ -51,27 +44,6 @@ def T_RQ():
     return se3.exp(torch.tensor([0.2, -0.1, 0.15, 0.1, -0.2, 0.05], dtype=torch.float64))
 
 
-def test_match_by_hand():
-    """Row 0 matches row 1. Row 1 has two equally near candidates, row 2 nothing within 64 bits."""
-    zero, one = torch.zeros(32, dtype=torch.uint8), torch.full((32,), 255, dtype=torch.uint8)
-    half = zero.clone()
-    half[:16] = 255
-    mixed = zero.clone()
-    mixed[::2] = 255
-    near_zero = zero.clone()
-    near_zero[0] = 1
-    query = features(torch.stack([zero, half, mixed]))
-    reference = features(torch.stack([one, near_zero, half, half]))
-    assert match_features(query, reference).tolist() == [[0, 1]]
-
-
-@pytest.mark.parametrize(("n", "m"), [(0, 5), (5, 0), (1, 1), (1, 5)])
-def test_too_few_to_match(n, m, generator):
-    a, b = features(random_descriptors(n, generator)), features(random_descriptors(m, generator))
-    assert match_features(a, b).shape == (0, 2)
-    assert relative_pose(CAMERA, a, b) is None
-
-
 def test_jacobian_agrees_with_finite_differences(generator, T_RQ):
     xyz_R, xyz_Q = two_views(7, generator, T_RQ)
     pairs = PointPairs(
@@ -89,18 +61,6 @@ def test_jacobian_agrees_with_finite_differences(generator, T_RQ):
         minus, _ = pose_errors(CAMERA, pairs, T_RQ @ se3.exp(-xi))
         torch.testing.assert_close(J[:, :, k], (plus - minus) / (2 * h), rtol=1e-5, atol=1e-4)
     assert (J[2, 2] == 0).all()
-
-
-def test_points_behind_count_for_nothing(generator, T_RQ):
-    xyz_R, xyz_Q = two_views(3, generator, T_RQ)
-    xyz_R[1, 2] = -3.0
-    pairs = PointPairs(
-        xyz_R=xyz_R, uv=project(CAMERA, xyz_Q), depth_m=xyz_Q[:, 2], sigma_px=torch.ones(3, dtype=torch.float64)
-    )
-    error, J = pose_errors(CAMERA, pairs, T_RQ)
-    assert (error[1] == 0).all()
-    assert (J[1] == 0).all()
-    assert is_inlier(CAMERA, pairs, T_RQ).tolist() == [True, False, True]
 
 
 def test_refinement_reaches_the_exact_pose_despite_outliers(generator, T_RQ):
@@ -155,41 +115,3 @@ def test_relative_pose_from_descriptors_alone(generator, T_RQ):
     assert pose is not None
     assert len(pose.rows) == 100
     torch.testing.assert_close(pose.T_RQ, T_RQ, atol=1e-4, rtol=0)
-
-
-def test_equal_depths_are_asked_for(generator, T_RQ):
-    """A point that projects right but whose measured depth is another one does not agree."""
-    xyz_R, xyz_Q = two_views(30, generator, T_RQ)
-    depth_m = xyz_Q[:, 2].clone()
-    depth_m[5] *= 1.3
-    pairs = PointPairs(
-        xyz_R=xyz_R, uv=project(CAMERA, xyz_Q), depth_m=depth_m, sigma_px=torch.ones(30, dtype=torch.float64)
-    )
-    assert is_inlier(CAMERA, pairs, T_RQ).logical_not().nonzero().flatten().tolist() == [5]
-
-
-def with_column(table, **columns):
-    """A copy that the type checks of these tests have not seen."""
-    table = copy.copy(table)
-    for name, column in columns.items():
-        object.__setattr__(table, name, column)
-    return table
-
-
-def test_columns_that_do_not_fit_together_are_refused(generator, T_RQ):
-    """Kernels would read beyond the end of a column that is too short."""
-    view = features(random_descriptors(8, generator))
-    short = with_column(view, uv=view.uv[:7])
-    with pytest.raises(ValueError, match="descriptors of reference"):
-        match_features(view, short)
-    xyz_W, words = torch.rand(8, 3).double().numpy(), view.descriptors.numpy()
-    with pytest.raises(ValueError, match=r"found_near: descriptors must be \[8, 32\], got \[7, 32\]"):
-        found_near(CAMERA, xyz_W, words[:7], view, T_RQ, 5.0)
-    with pytest.raises(ValueError, match=r"found_near: xyz_W must be float64, got float32"):
-        found_near(CAMERA, xyz_W.astype("float32"), words, view, T_RQ, 5.0)
-    pairs = PointPairs.of(view, view, torch.arange(8)[:, None].expand(8, 2))
-    with pytest.raises(ValueError, match=r"fit_pairs: sigma_px must be \[8\], got \[6\]"):
-        fit_pairs(CAMERA, with_column(pairs, sigma_px=pairs.sigma_px[:6]), T_RQ)
-    rows = LandmarkRows(camera=CAMERA, xyz_W=xyz_W, uv=xyz_W[:, :2], inverse_depth=xyz_W[:, 0], sigma_px=xyz_W[:, 0])
-    with pytest.raises(ValueError, match=r"landmark_pose: xyz_W must be \[8, 3\], got \[5, 3\]"):
-        landmark_pose(with_column(rows, xyz_W=xyz_W[:5]), T_RQ)

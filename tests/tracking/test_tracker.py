@@ -34,12 +34,11 @@ def test_a_steady_motion_is_followed(plane_scene, assert_pose):
     for report, T in zip(reports, path(8), strict=True):
         assert_pose(report.T_WC, T, 5e-4, 0.03)
         assert report.T_WC.dtype == torch.float32
-        assert set(report.seconds) == {"preprocess", "render", "icp"}
-    last = reports[-1]
+    last = reports[-1].icp
+    assert last is not None
     assert last.inlier_share > 0.9
     assert last.overlap_inlier_share > 0.9
-    assert last.icp is not None
-    assert last.iterations == len(last.icp.history) > 0
+    assert len(last.history) > 0
     assert tracker.n_lost == 0
 
 
@@ -78,12 +77,6 @@ def test_the_landmarks_pose_is_tried_first(plane_scene, assert_pose):
     assert_pose(report.T_WC, path(4)[3], 5e-4, 0.03)
 
 
-def test_a_frozen_frame_does_not_move(plane_scene, assert_pose):
-    reports = track_all(Tracker(), plane_scene("corner"), [*path(3), *[path(3)[2]] * 4])
-    for report in reports[2:]:
-        assert_pose(report.T_WC, path(3)[2], 5e-4, 0.03)
-
-
 def test_along_an_edge_the_prediction_decides(plane_scene):
     """Nothing shows the motion along y; the two first poses say 2 cm per frame."""
     steps = [torch.eye(4).double() for _ in range(4)]
@@ -93,27 +86,10 @@ def test_along_an_edge_the_prediction_decides(plane_scene):
     track_all(tracker, scene, steps[:2])
     assert float(tracker.predict(2.0)[1, 3]) == pytest.approx(0.0, abs=2e-3)  # the start knew no motion
     report = tracker.track(scene.frame(steps[2], 2), scene)
-    assert (report.status, report.degenerate) == ("degenerate", 1)
+    assert report.icp is not None
+    assert (report.status, report.icp.degenerate) == ("degenerate", 1)
     assert float(report.T_WC[2, 3]) == pytest.approx(0.02, abs=1e-3)
     assert float(report.T_WC[1, 3]) == pytest.approx(0.0, abs=2e-3)
-
-
-def test_no_depth_at_all_is_a_loss_in_one_sentence(plane_scene):
-    scene, tracker = plane_scene("corner"), Tracker()
-    blind = scene.frame(path(3)[2], 7)
-    blind = dataclasses.replace(blind, depth_m=torch.zeros_like(blind.depth_m))
-    message = "frame 7 cannot be tracked: none of its pixels have usable depth"
-    with pytest.raises(TrackingLostError, match=message):
-        tracker.track(blind, scene)
-    assert tracker.track(scene.frame(path(1)[0]), scene).status == "first"
-    tracker.track(scene.frame(path(2)[1], 1), scene)
-    before = tracker.state_dict()
-    with pytest.raises(TrackingLostError, match=message):
-        tracker.track(blind, scene)
-    after = tracker.state_dict()
-    assert (tracker.n_lost, tracker.lost_in_a_row) == (2, 1)
-    for name in ("last", "before"):
-        assert torch.equal(before[name]["T_WC"], after[name]["T_WC"])
 
 
 def test_a_jump_is_lost_and_found_when_the_stream_returns(plane_scene, assert_pose):
@@ -131,19 +107,6 @@ def test_a_jump_is_lost_and_found_when_the_stream_returns(plane_scene, assert_po
     assert_pose(report.T_WC, back, 5e-4, 0.03)
     assert tracker.lost_in_a_row == 0
     assert_pose(tracker.predict(21.0), report.T_WC, 1e-6, 1e-3)  # no velocity across a gap
-
-
-def test_a_wrong_prediction_falls_back_to_the_last_pose(plane_scene, assert_pose):
-    scene, tracker = plane_scene("corner"), Tracker(TrackingConfig(max_distance_m=0.02, iterations=(3, 1, 1)))
-    leap = se3.exp(torch.tensor([0.3, 0.25, 0.2, 0.1, 0.2, 0.0]).double())
-    state = tracker.state_dict() | {
-        "before": {"T_WC": leap, "timestamp_s": 0.0},
-        "last": {"T_WC": torch.eye(4).double(), "timestamp_s": 1.0},
-    }
-    tracker = Tracker.from_state_dict(tracker.config, state)
-    report = tracker.track(scene.frame(torch.eye(4).double(), 2), scene)
-    assert (report.status, report.start) == ("recovered", "the last pose")
-    assert_pose(report.T_WC, torch.eye(4), 1e-3, 0.05)
 
 
 class KnownPoses:
@@ -173,15 +136,6 @@ def test_poses_by_appearance_are_tried_last_and_judged_by_their_fit(plane_scene,
     assert tracker.track(corner.frame(follow, 10), corner).status == "ok"
 
 
-def test_a_motion_beyond_the_limit_is_refused(plane_scene):
-    scene, tracker = plane_scene("corner"), Tracker(TrackingConfig(max_step_m=0.01, max_step_deg=45.0))
-    tracker.track(scene.frame(torch.eye(4).double()), scene)
-    T = torch.eye(4).double()
-    T[2, 3] = 0.05
-    with pytest.raises(TrackingLostError, match=r"moved 0\.05 m and turned 0 degrees .* \(at most 0\.01 m and 45 deg"):
-        tracker.track(scene.frame(T, 1), scene)
-
-
 def test_correct_moves_the_end_of_the_path(plane_scene, assert_pose):
     tracker = Tracker()
     track_all(tracker, plane_scene("corner"), path(3))
@@ -191,18 +145,6 @@ def test_correct_moves_the_end_of_the_path(plane_scene, assert_pose):
     assert_pose(tracker.predict(3.0), change.double() @ before, 1e-6, 1e-4)
     with pytest.raises(ValueError, match="T_change must be rigid"):
         tracker.correct(2 * torch.eye(4))
-
-
-def test_many_corrections_leave_the_path_rigid(plane_scene):
-    """Each is made of the last pose, as the back end makes it; without care the rounding of the first would be 1 % in
-    the twentieth."""
-    tracker = Tracker()
-    track_all(tracker, plane_scene("corner"), path(3))
-    for k in range(25):
-        last = tracker.predict(2.0)
-        tracker.correct((se3.exp(0.1 * k * VELOCITY) @ se3.inverse(last)).float())
-    R = tracker.predict(2.0)[:3, :3]
-    assert float((R @ R.T - torch.eye(3)).abs().max()) < 1e-6
 
 
 @pytest.mark.parametrize("target", ["model", "hybrid"])
@@ -227,14 +169,6 @@ def test_state_round_trip_goes_on_the_same(plane_scene, target):
     assert fresh.track(frames[0], scene).status == "first"
 
 
-def test_a_hybrid_target_is_rendered_from_the_last_pose(plane_scene, assert_pose):
-    scene = plane_scene("corner")
-    tracker = Tracker(TrackingConfig(target="hybrid"))
-    reports = track_all(tracker, scene, path(4))
-    assert_pose(scene.rendered[-1], reports[-2].T_WC, 1e-6, 1e-3)
-    assert_pose(reports[-1].T_WC, path(4)[3], 1e-3, 0.05)
-
-
 @pytest.mark.parametrize(("noise", "limit_m"), [("none", 0.004), ("kinect", 0.008)])
 def test_the_room_is_tracked_against_its_tsdf(noise, limit_m):
     sequence = open_sequence("room", noise=noise, width=160, height=120)
@@ -248,31 +182,6 @@ def test_the_room_is_tracked_against_its_tsdf(noise, limit_m):
         truth.append(frame.T_WC)
     assert report.status == "ok"
     assert ate_rmse(torch.stack(estimate), torch.stack(truth), align=False) < limit_m
-
-
-def test_noise_in_the_first_frames_surface_is_no_loss(assert_pose):
-    """The surface of one noisy frame is rough: with its own normals hardly a third of the points fit."""
-    frames = open_sequence("room", n_frames=480, noise="kinect", width=320, height=240).mapping
-    volume, tracker = TsdfVolume(TsdfConfig(voxel_size_m=0.01)), Tracker()
-    tracker.track(frames[0], tsdf_surface(volume))
-    integrate(volume, frames[0])
-    report = tracker.track(frames[1], tsdf_surface(volume))
-    assert (report.status, report.start) == ("ok", "the predicted pose with smooth normals")
-    assert_pose(report.T_WC, frames[1].T_WC, 0.003, 0.1)
-
-
-def test_a_suddenly_worse_fit_is_doubted_and_not_lost(plane_scene, assert_pose):
-    """The camera stops, and a single step on each level leaves a tenth of a millimetre, ten times the usual."""
-    config, scene = TrackingConfig(iterations=(1, 1, 1)), plane_scene("corner")
-    track_all(tracker := Tracker(config), scene, path(3))
-    state = tracker.state_dict()
-    state["before"] = {"T_WC": path(3)[2] @ se3.exp(-8 * VELOCITY), "timestamp_s": 1.0}
-    for usual_m, doubted in ((1e-6, True), (1.0, False)):
-        tracker = Tracker.from_state_dict(config, state | {"usual_fit": torch.tensor([[usual_m, 1.0]] * 6).double()})
-        report = tracker.track(scene.frame(path(3)[2], 3), scene)
-        assert ("from the model, usually" in report.doubt) == doubted
-        assert_pose(report.T_WC, path(3)[2], 2e-3, 0.1)
-        assert tracker.n_lost == 0
 
 
 def test_the_clearly_better_fit_is_taken(plane_scene):

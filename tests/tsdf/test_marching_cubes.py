@@ -1,4 +1,3 @@
-import importlib
 from collections import Counter
 
 import pytest
@@ -46,15 +45,6 @@ def test_sphere_is_closed_round_and_turned_outwards(filled_volume):
     assert bool(((n * outward).sum(1) >= 0).all())
 
 
-def test_sphere_far_away_with_negative_coordinates(filled_volume):
-    centre = (-70.0, 33.0, -12.5)
-    low = [int((c - 0.4) // 0.16) for c in centre]
-    volume = filled_volume(lambda p: sphere(p, centre), low, [b + 6 for b in low])
-    mesh = extract_mesh(volume)
-    check_closed(mesh)
-    assert float(sphere(mesh.vertices_W.double(), centre).abs().max()) < 2e-4  # h^2 / 8 R again
-
-
 def test_random_field_is_closed(filled_volume, generator):
     """Noise has every case, and faces whose corners alternate."""
     volume = filled_volume(lambda p: torch.randn(p.shape[:-1], generator=generator).double(), (-2, -1, 0), (1, 2, 2))
@@ -68,17 +58,6 @@ def test_random_field_is_closed(filled_volume, generator):
     mesh = extract_mesh(border)
     assert mesh.faces.shape[0] > 10000
     check_closed(mesh)
-
-
-def test_chunks_do_not_show(filled_volume, monkeypatch):
-    volume = filled_volume(sphere, (-3, -3, -3), (3, 3, 3))
-    whole = extract_mesh(volume)
-    module = importlib.import_module("gsfusion_nb.tsdf.marching_cubes")
-    monkeypatch.setattr(module, "BLOCKS_AT_A_TIME", 7)
-    parts = extract_mesh(volume)
-    assert torch.equal(whole.vertices_W, parts.vertices_W)
-    assert torch.equal(whole.faces, parts.faces)
-    assert torch.equal(whole.rgb, parts.rgb)
 
 
 def test_only_where_all_corners_were_observed(camera, make_frame):

@@ -39,12 +39,6 @@ def test_labels_keep_their_size_when_pictures_are_scaled(scale):
     assert width == pytest.approx(2 * 60 * scale, abs=8)
 
 
-def test_one_picture_without_a_label_is_enlarged_by_the_browser():
-    image = show(np.full((40, 60, 3), 128, np.uint8), scale=1.5)
-    assert shown(image).shape == (40, 60, 3)
-    assert image.width == 90
-
-
 def test_pictures_have_words_for_those_who_do_not_see_them():
     picture = np.full((40, 60, 3), 128, np.uint8)
     assert show([picture, picture], ["left", "right"]).alt == "left; right"

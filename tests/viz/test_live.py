@@ -7,8 +7,7 @@ import numpy as np
 
 from gsfusion_nb.drawing.pictures import error_map
 from gsfusion_nb.viz import LiveLoop, LiveMapper
-from gsfusion_nb.viz.live import worth_looking_at
-from gsfusion_nb.viz.map_pictures import live_panels
+from gsfusion_nb.viz.map_pictures import captions_of, live_panels, mosaic
 
 
 def decoded(data):
@@ -33,13 +32,12 @@ def test_panels_show_the_frame_the_map_the_error_and_the_seeds(make_run):
     report = next(run.online())
     frame = run.sequence.mapping[0]
     panels = live_panels(run.mapper, frame)
-    assert {p.shape for p in panels.pictures.values()} == {(36, 48, 3)}
+    assert {p.shape for p in panels.values()} == {(36, 48, 3)}
     assert (panels["input"] == (frame.rgb.numpy() * 255 + 0.5).astype(np.uint8)).all()
     assert (panels["error"] == error_map(panels["render"], panels["input"])).all()
     red = (panels["quadtree_seeds"] == (255, 48, 64)).all(-1)
     assert report.n_seeds / 4 < red.sum() <= 4 * report.n_seeds
-    mosaic = panels.mosaic()
-    assert mosaic.shape[1] == 2 * 48 + 6
+    assert mosaic(panels, captions_of(run.mapper)).shape[1] == 2 * 48 + 6
 
 
 def test_run_sync_draws_the_last_frame_and_counts(make_run):
@@ -74,22 +72,10 @@ def test_the_slider_goes_back_through_all_frames(make_run):
     assert (live.scrubber.widget.value, shown_frame(live)) == (9, 9)
 
 
-def test_run_all_leaves_it_at_a_frame_worth_looking_at(make_run):
-    run = make_run(n=12)
-    live = LiveMapper(run)
-    live.run_sync()
-    most = worth_looking_at(run.steps)
-    assert run.steps[most - 1].n_seeds == max(step.n_seeds for step in run.steps[2:])
-    assert shown_frame(live) == most - 1
-    assert "finished" in live.status.value
-    assert worth_looking_at(run.steps[:1]) == 1
-    assert worth_looking_at([]) == 0
-
-
 def test_an_error_is_shown_in_the_widget_and_nothing_is_printed(make_run, capsys):
     live = LiveMapper(make_run(broken=(3,)))
-    live.start()
-    assert live.join(20)
+    live.player.start()
+    assert live.player.join(20)
     assert live.player.state == "failed"
     assert "RuntimeError: the film tore at frame 3" in live.error.value
     assert "<details" in live.error.value
@@ -100,10 +86,10 @@ def test_an_error_is_shown_in_the_widget_and_nothing_is_printed(make_run, capsys
 
 def test_another_live_mapper_stops_the_first(make_run):
     first = LiveMapper(make_run(n=2000))
-    first.start()
+    first.player.start()
     wait_for(lambda: first.run.steps)
     LiveMapper(make_run())
-    assert first.join(10)
+    assert first.player.join(10)
     assert len(first.run.steps) < 2000
 
 
@@ -126,8 +112,8 @@ def test_the_splat_viewer_follows_the_map_and_knows_its_time(make_run, monkeypat
     live.run_sync(1)
     wait_for(lambda: sizes and sizes[-1] == len(run.mapper.gaussians))
     first = viewer.birth_range
-    live.start()
-    assert live.join(20)
+    live.player.start()
+    assert live.player.join(20)
     wait_for(lambda: sizes[-1] == len(run.mapper.gaussians))
     assert sizes == sorted(sizes)
     assert first == [0.0, 0.0]
@@ -178,7 +164,7 @@ def test_run_sync_then_buttons_go_on():
     work, loop = make_loop()
     assert loop.run_sync(2) == 2
     assert "<b>paused</b> · step 2 of 6" in loop.status.value
-    before = loop.image.value
+    before = loop.images["image"].value
     loop.buttons["Step"].click()
     wait_for(lambda: work.done == 3 and loop.player.state == "paused")
     loop.buttons["Start"].click()
@@ -186,4 +172,4 @@ def test_run_sync_then_buttons_go_on():
     assert loop.player.join(10)
     assert work.done == 6
     assert "<b>finished</b> · step 6 of 6" in loop.status.value
-    assert loop.image.value != before
+    assert loop.images["image"].value != before

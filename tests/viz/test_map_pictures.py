@@ -22,6 +22,7 @@ from gsfusion_nb.viz.map_pictures import (
     cause_picture,
     live_panels,
     map_picture,
+    mosaic,
     state_picture,
 )
 
@@ -90,12 +91,12 @@ def test_panels_of_rtg_slam(rtg_run):
     run = rtg_run()
     report = next(run.online())
     panels = live_panels(run.mapper, run.sequence.mapping[0])
-    assert list(panels.pictures) == ["input", "render", "error", "depth_error", "states", "seed_causes"]
+    assert list(panels) == ["input", "render", "error", "depth_error", "states", "seed_causes"]
     assert list(captions_of(run.mapper)) == ["input", "render", "error", "depth_error", "states", "seed_causes"]
-    assert {p.shape for p in panels.pictures.values()} == {(36, 48, 3)}
+    assert {p.shape for p in panels.values()} == {(36, 48, 3)}
     green = (panels["seed_causes"] == CAUSES[1][1]).all(-1).sum()
     assert report.n_seeds / 4 < green <= 4 * report.n_seeds
-    assert panels.mosaic().shape[1] == 3 * 48 + 2 * 6
+    assert mosaic(panels, captions_of(run.mapper)).shape[1] == 3 * 48 + 2 * 6
 
 
 def test_a_tracked_frame_is_drawn_at_the_pose_where_it_was_mapped(rtg_run):

@@ -173,12 +173,3 @@ def test_the_browser_draws_what_vtk_draws(node, tmp_path, shading, vtk):
     assert drawn.std() > 20
     assert answer["corner"] is None
     assert 1.5 < answer["middle"] < 1.9  # the upper square
-
-
-def test_depth_and_behind_in_the_browser(node, tmp_path):
-    image, answer = drawn_by_the_browser(node, tmp_path, sheet(3), FROM_ABOVE, "colour")
-    assert answer["middle"] == pytest.approx(2.0, abs=1e-5)
-    assert inside(image)[:2] == pytest.approx([60 - 56, 59 + 56], abs=0.5)
-    image, answer = drawn_by_the_browser(node, tmp_path, sheet(3), FROM_BELOW, "colour")
-    assert (image == BACKGROUND).all()
-    assert answer["middle"] is None

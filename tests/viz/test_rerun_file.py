@@ -57,12 +57,5 @@ def test_the_file_holds_frames_poses_maps_and_scores(config, tmp_path):
     meshes = values("/world/mesh", ":triangle_indices")
     assert 0 < len(meshes[0]) < len(meshes[-1])  # it grows
     assert sorted(set(values("/world/camera", "frame"))) == list(range(1, n + 1))
-    again = RerunFile(tmp_path / "again.rrd")  # as of a run that is continued: numbers and path go on
-    again.frame_mapped(run.mapper, run.run.sequence.mapping[n - 1], run.run.steps[-1])
-    again.finished(run.mapper, run.mapper.mesh(), {})
-    later = columns(tmp_path / "again.rrd")
-    assert set(later["/world/camera"]["frame"]) == {n}
-    strips = [name for name in later["/world/path"] if name.endswith(":strips")]
-    assert len(later["/world/path"][strips[0]][-1][0]) == n
     final = values("/final/psnr_held_out_db", ":scalars")
     assert np.ravel(final).tolist() == pytest.approx([run.metrics["psnr_held_out_db"]])

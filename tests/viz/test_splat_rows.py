@@ -63,13 +63,14 @@ def packed(params):
     return pack_rows(params, np.zeros((len(params), 0), np.float32), layout_for(params, 0))
 
 
-def applied(old, packet):
-    """What the front end holds after the packet."""
-    if packet.index is None:
-        return packet.records
-    out = np.zeros((packet.n, packet.records.shape[1]), np.uint8)
+def applied(old, packet, n):
+    """What the front end holds after the packet, of ``n`` rows."""
+    index, records = packet
+    if index is None:
+        return records
+    out = np.zeros((n, records.shape[1]), np.uint8)
     out[: len(old)] = old
-    out[packet.index] = packet.records
+    out[index] = records
     return out
 
 
@@ -79,24 +80,16 @@ def test_changed_rows_travel_and_unchanged_ones_do_not(generator):
     moved[[3, 17]] += 0.01
     old, new = packed(params), packed(dataclasses.replace(params, xyz_W=moved))
     packet = packet_between(old, new)
-    assert packet is not None
-    assert packet.index is not None
-    assert packet.index.tolist() == [3, 17]
-    assert (applied(old, packet) == new).all()
+    assert packet[0].tolist() == [3, 17]
+    assert (applied(old, packet, len(new)) == new).all()
     assert packet_between(new, new) is None
 
 
 def test_everything_travels_where_parts_are_no_cheaper(generator):
     params = random_map(50, generator)
-    old = packed(params)
-    for new in (packed(params[5:]), packed(random_map(50, generator)), packed(random_map(50, generator, harmonics=1))):
-        packet = packet_between(old, new)
-        assert packet is not None
-        assert packet.index is None
-        assert packet.n == len(new)
-    first = packet_between(None, old)
-    assert first is not None
-    assert first.index is None
-    empty = packet_between(old, old[:0])
-    assert empty is not None
-    assert empty.n == 0
+    old, nothing = packed(params), packed(params[:0])
+    other = (packed(params[5:]), packed(random_map(50, generator)), packed(random_map(50, generator, harmonics=1)))
+    for before, new in (*((old, new) for new in other), (None, old), (old, nothing)):
+        index, records = packet_between(before, new)
+        assert index is None
+        assert records is new

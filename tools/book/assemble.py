@@ -8,17 +8,16 @@ import posixpath
 import re
 import shutil
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib.util import resolve_name
-from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 from urllib.parse import quote
 
-from gsfusion_nb.files import atomic_file
-from gsfusion_nb.foreign import read_object
+from quiz import INTRODUCTION, PROMPT, Question
+
+from gsfusion_nb.course.course import TITLES
+from gsfusion_nb.files import read_object
 
 from .chapters import Chapter
 from .pages import Places, in_the_book, raw
@@ -59,21 +58,9 @@ class Settings:
 
 
 def read_settings(path: Path, repository: str = "") -> Settings:
-    """Settings from a file.
-
-    Args:
-        path: The file.
-        repository: Takes the place of the file's address, if given.
-
-    Raises:
-        ValueError: a setting that does not exist, or a wrong value.
-    """
+    """Settings from a file; ``repository`` takes the place of the file's address, if given."""
     given = tomllib.loads(path.read_text(encoding="utf-8"))
-    known = [field.name for field in dataclasses.fields(Settings)]
-    for name, value in given.items():
-        if name not in known or not isinstance(value, str):
-            raise ValueError(f"{path}: {name} = {value!r}; expected a text for one of {', '.join(known)}")
-    return Settings(**{**given, **({"repository": repository} if repository else {})})
+    return Settings(**given | ({"repository": repository} if repository else {}))
 
 
 def opening_bar(notebook: str, settings: Settings) -> str:
@@ -101,42 +88,20 @@ _COLAB = (
 )
 
 
-_ANSWER = re.compile(r"^\| `([\w-]+)` \| ([A-D]) \| (.+) \|$", re.MULTILINE)
-_QUESTION = re.compile(r"^\*\*([\w-]+)\*\*\n(.*?)((?:^- [A-D]\. [^\n]*\n?)+)", re.MULTILINE | re.DOTALL)
-_OPTION = re.compile(r"^- ([A-D])\. (.*)$", re.MULTILINE)
-
-
-def with_answers(questions: str, answers: str) -> str:
-    """A page of questions whose options can be chosen; the checker's sentence comes after the choice.
-
-    Args:
-        questions: ``chapter_NN.md``.
-        answers: ``answers.md``.
-
-    Raises:
-        ValueError: a question has no answer.
-    """
-    from markdown_it import MarkdownIt
-
-    inline = MarkdownIt().renderInline
-    known = {name: (letter, said) for name, letter, said in _ANSWER.findall(answers)}
-
-    def form(match: re.Match[str]) -> str:
-        name, asked, options = match.groups()
-        if name not in known:
-            raise ValueError(f"answers.md has no answer to {name}")
-        letter, said = known[name]
+def quiz_page(chapter: int, questions: Sequence[Question]) -> str:
+    """The questions of a chapter with options to choose; the checker's sentence comes after the right choice."""
+    parts = [f"# Quiz, chapter {chapter}: {TITLES[chapter]}\n\n{INTRODUCTION}"]
+    for q in questions:
         rows = "".join(
-            f'<label><input type="radio" name="{name}" value="{key}"><span>{key}. {inline(text)}</span></label>'
-            for key, text in _OPTION.findall(options)
+            f'<label><input type="radio" name="{q.name}" value="{key}"><span>{key}. {escape(text)}</span></label>'
+            for key, text in zip("ABCD", q.options, strict=True)
         )
-        said = inline(said.replace(r"\|", "|"))
-        return f"### {name}\n{asked}\n" + raw(
-            f'<form class="gsnb-quiz" data-right="{letter}"><fieldset><legend>Your answer to {name}</legend>{rows}'
-            f'</fieldset><p role="status"></p><p class="gsnb-said" hidden>The checker says: {said}</p></form>'
+        form = (
+            f'<form class="gsnb-quiz" data-right="{"ABCD"[q.answer]}"><fieldset><legend>{PROMPT}</legend>{rows}'
+            f'</fieldset><p role="status"></p><p class="gsnb-said" hidden>The checker says: {escape(q.said)}</p></form>'
         )
-
-    return _QUESTION.sub(form, questions)
+        parts.append(f"## {q.name}\n\n{escape(q.title)}\n\n```python\n{q.code}\n```\n{raw(form)}")
+    return "\n\n".join(parts) + "\n"
 
 
 ROOMS = (
@@ -146,55 +111,29 @@ ROOMS = (
 """Rooms whose names a reader uses, in the order of the floors; the other rooms serve these."""
 
 
-def public_names(path: Path) -> dict[str, str]:
-    """Name -> module that it comes from, below the file's own ("" for itself), classes first.
-
-    Those that a package passes on (``from .a import b as b``), or that a module defines, without an underscore.
-    """
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    names = {node.name: "" for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    if path.name == "__init__.py":
-        nodes = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level]
-        names = {a.name: "." * node.level + (node.module or "") for node in nodes for a in node.names if a.asname}
-    public = [name for name in names if not name.startswith("_")]
-    return {name: names[name] for name in sorted(public, key=lambda name: (name.islower(), name.lower()))}
-
-
 def api_page(room: str, package: Path) -> str:
-    """A page in Markdown for one room."""
+    """A page in Markdown for one room: the names that it passes on (``from .a import b as b``) or defines."""
     path = package / room / "__init__.py"
-    path = path if path.exists() else package / f"{room}.py"
     name = f"gsfusion_nb.{room}"
     module = importlib.import_module(name)
-    parts = [f"# {name}", "", _first_paragraphs(module.__doc__ or "")]
-    for entry, source in public_names(path).items():
+    if path.exists():
+        imports = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom)]
+        names = [alias.name for node in imports for alias in node.names if node.level and alias.asname]
+    else:
+        names = [n for n, thing in vars(module).items() if getattr(thing, "__module__", "") == name]
+    parts = [f"# {name}", "", inspect.cleandoc(module.__doc__ or "").partition("\n\n")[0]]
+    for entry in sorted({n for n in names if not n.startswith("_")}, key=lambda n: (n.islower(), n.lower())):
         thing = getattr(module, entry)
-        home = getattr(thing, "__module__", "").split(".")[1:2]
+        home = (thing.__name__ if inspect.ismodule(thing) else getattr(thing, "__module__", name)).split(".")[1:2]
+        if home != [room] and home and home[0] in ROOMS:
+            continue  # passed on from another room
         if inspect.ismodule(thing):
             parts += [_directive("automodule", thing.__name__, ("members",))]
-        elif home and home != [room] and home[0] in ROOMS:
-            parts += [f"`{entry}`: see [{home[0]}]({home[0]}.md)."]
         elif inspect.isclass(thing):
             parts += [_directive("autoclass", f"{name}.{entry}", ("members",))]
         elif callable(thing):
             parts += [_directive("autofunction", f"{name}.{entry}")]
-        elif _explained(importlib.import_module(resolve_name(source or ".", name)), entry):
-            parts += [_directive("autodata", f"{resolve_name(source or '.', name)}.{entry}", ("no-value",))]
     return "\n".join(parts) + "\n"
-
-
-def _explained(module: ModuleType, name: str) -> bool:
-    """Whether a constant has a docstring below it."""
-    body = ast.parse(inspect.getsource(module)).body
-    for node, following in pairwise(body):
-        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
-        if any(isinstance(t, ast.Name) and t.id == name for t in targets):
-            return isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
-    return False
-
-
-def _first_paragraphs(doc: str) -> str:
-    return inspect.cleandoc(doc).partition("\n\n")[0]
 
 
 def _directive(kind: str, name: str, options: Sequence[str] = ()) -> str:
@@ -217,8 +156,6 @@ QUIZ = "docs/teaching/quiz"
 ARCHIVE = "gsfusion_nb_book.zip"
 """Name of the file with the whole site."""
 _PICTURES = (".jpg", ".png", ".svg")
-Views = Callable[[str, str], str | None]
-"""Path of a notebook, id of a cell -> HTML of the cell's recorded view."""
 
 
 class Assembly:
@@ -229,22 +166,15 @@ class Assembly:
         settings: Of the book.
         pages: Folder for the pages; emptied first.
         extra: Folder for other files of the site; emptied first.
-        views: The recorded views.
-        quiz: Pages of questions, and ``answers.md``, by file name.
+        quiz: Questions by chapter.
     """
 
     def __init__(
-        self,
-        places: Places,
-        settings: Settings,
-        pages: Path,
-        extra: Path,
-        views: Views = lambda _page, _cell: None,
-        quiz: Mapping[str, str] | None = None,
+        self, places: Places, settings: Settings, pages: Path, extra: Path, quiz: Mapping[int, Sequence[Question]]
     ):
-        self.quiz = {f"{QUIZ}/{name}": text for name, text in (quiz or {}).items()}
+        self.quiz = {f"{QUIZ}/chapter_{n:02}.md": quiz_page(n, own) for n, own in quiz.items()}
         self.places = dataclasses.replace(places, files=places.files | frozenset(self.quiz))
-        self.settings, self.pages, self.extra, self.views = settings, pages, extra, views
+        self.settings, self.pages, self.extra = settings, pages, extra
 
     def write(self) -> None:
         """Write all of them."""
@@ -255,48 +185,25 @@ class Assembly:
             if path.endswith(".ipynb") and self.places.is_page(path):
                 self._chapter(path)
             elif self.places.is_page(path):
-                self._page(path)
+                text = self.quiz.get(path) or (self.places.root / path).read_text(encoding="utf-8")
+                self._put(self.pages / path, in_the_book(text, path, self.places))
             elif path.startswith("docs/images/") and path.endswith(_PICTURES):
                 self._put(self.pages / path, (self.places.root / path).read_bytes())
         for room in ROOMS:
             self._put(self.pages / f"api/{room}.md", api_page(room, self.places.root / "gsfusion_nb"))
         self._put(self.pages / "api/index.md", api_index())
-        self._index()
+        text = (self.places.root / "docs/book/index.md").read_text(encoding="utf-8")
+        self._put(self.pages / "index.md", in_the_book(text, "index.md", self.places))
 
     def _chapter(self, path: str) -> None:
-        bar = opening_bar(path, self.settings)
         notebook = self.places.root / path
-        chapter = Chapter(
-            read_object(notebook, "a notebook"), path, self.places, view=lambda cell: self.views(path, cell), bar=bar
-        )
+        bar = opening_bar(path, self.settings)
+        chapter = Chapter(read_object(notebook, "a notebook"), path, self.places, bar=bar)
         self._put(self.pages / f"{path.removesuffix('.ipynb')}.md", chapter.markdown())
-        for address, content in chapter.files.contents.items():
+        for address, content in chapter.files.items():
             self._put(self.extra / posixpath.dirname(path) / address, content)
         self._put(self.extra / path, notebook.read_bytes())
 
-    def _page(self, path: str) -> None:
-        text = self.quiz.get(path) or (self.places.root / path).read_text(encoding="utf-8")
-        if path in self.quiz and not path.endswith("/answers.md"):
-            text = with_answers(text, self.quiz[f"{QUIZ}/answers.md"])
-        self._put(self.pages / path, in_the_book(text, path, self.places))
-
-    def _index(self) -> None:
-        """The first page; pages of the documentation that it does not name come after the page on the book."""
-        text = (self.places.root / "docs/book/index.md").read_text(encoding="utf-8")
-        listed = {line.strip() for line in text.splitlines()}
-        ours = [p.removesuffix(".md") for p in sorted(self.places.files) if self.places.is_page(p)]
-        loose = [p for p in ours if p.startswith("docs/") and p not in listed and not p.startswith(QUIZ)]
-        chapters = sorted(path.removesuffix(".md") for path in self.quiz if not path.endswith("/answers.md"))
-        toctree = ["```{toctree}", ":caption: Quiz", ":maxdepth: 1", "", *chapters, f"{QUIZ}/answers", "```"]
-        text = text.replace("{{quiz}}", "\n".join(toctree) if chapters else "")
-        loose = [p for p in loose if p != "docs/index"]
-        text = text.replace("docs/book\n```", "\n".join(["docs/book", *loose, "docs/index"]) + "\n```")
-        size = f"[Download the whole book]({ARCHIVE}): a folder to read without internet; open its `index.html`."
-        text = text.replace("{{download}}", size)
-        self._put(self.pages / "index.md", in_the_book(text, "index.md", self.places))
-
-    @staticmethod
-    def _put(path: Path, content: str | bytes) -> None:
-        data = content.encode() if isinstance(content, str) else content
-        with atomic_file(path) as temporary:
-            temporary.write_bytes(data)
+    def _put(self, path: Path, content: str | bytes) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content.encode() if isinstance(content, str) else content)

@@ -2,77 +2,36 @@
 
 import ast
 import base64
+import io
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from html import escape
-from itertools import count
+from itertools import count, groupby
 from typing import Any
+
+from PIL import Image
 
 from gsfusion_nb.course.exercise import exercises
 
 from .pages import Places, in_the_book, numbered, raw
 
 _PICTURES = {"image/png": "png", "image/jpeg": "jpg"}
-_SOURCE = re.compile(r'href="(?:\.\./)+([\w/.-]+)#line=(\d+)"')
+_SOURCE = re.compile(r'<a href="(?:\.\./)+([\w/.-]+)#line=(\d+)"[^>]*>(.*?)</a>')
 
 
-@dataclass(kw_only=True)
-class Files:
-    """Files that belong to a page, by their names relative to it."""
+def source_links(html: str, places: Places) -> str:
+    """Links of a notebook to lines of files lead to the repository, or become text; JupyterLab counts lines from 0."""
 
-    folder: str
-    """Where they are put, relative to the page."""
-    contents: dict[str, bytes] = field(default_factory=dict)
+    def link(match: re.Match[str]) -> str:
+        url = places.source_url(match[1], int(match[2]) + 1)
+        return f'<a href="{url}">{match[3]}</a>' if url else match[3]
 
-    def add(self, name: str, content: bytes) -> str:
-        """Keep a file; its address relative to the page."""
-        address = f"{self.folder}/{name}"
-        self.contents[address] = content
-        return address
-
-
-def outputs_html(cell: Mapping[str, Any], page: str, places: Places, files: Files) -> list[str]:
-    """HTML of each output of a cell; what it printed in a row is one."""
-    found: list[str] = []
-    printed = ""
-    for number, output in enumerate([*cell.get("outputs", []), None]):
-        if output is not None and output["output_type"] == "stream":
-            printed += "".join(output["text"])
-            continue
-        if printed:
-            found.append(f'<pre class="gsnb-printed" tabindex="0">{escape(printed.rstrip(), quote=False)}</pre>')
-            printed = ""
-        if output is not None:
-            found.append(_shown(output, f"{cell['id']}-{number}", page, places, files))
-    return [html for html in found if html]
-
-
-def _shown(output: Mapping[str, Any], name: str, page: str, places: Places, files: Files) -> str:
-    data, metadata = output.get("data", {}), output.get("metadata", {})
-    if "text/html" in data:
-        return f'<div class="gsnb-html">{source_links("".join(data["text/html"]), page, places)}</div>'
-    for kind, suffix in _PICTURES.items():
-        if kind in data:
-            content = base64.b64decode("".join(data[kind]))
-            words = metadata.get(kind, {})
-            return picture_html(files.add(f"{name}.{suffix}", content), content, words, suffix)
-    text = "".join(data.get("text/plain", output.get("traceback", "")))
-    return f'<pre class="gsnb-printed" tabindex="0">{escape(text, quote=False)}</pre>' if text else ""
-
-
-def source_links(html: str, page: str, places: Places) -> str:
-    """Links of a notebook to lines of files as links to the pages of these files; JupyterLab counts lines from 0."""
-    return _SOURCE.sub(
-        lambda m: f'href="{places.source_url(m[1], seen_from=page, line=int(m[2]) + 1)}"'
-        if places.is_shown(m[1]) else m[0],
-        html,
-    )  # fmt: skip
+    return _SOURCE.sub(link, html)
 
 
 def picture_html(address: str, content: bytes, metadata: Mapping[str, Any], suffix: str) -> str:
     """An image with its size, so that the page does not move when it is loaded."""
-    width, height = _size(content)
+    width, height = Image.open(io.BytesIO(content)).size
     wide = int(metadata.get("width", width))
     drawing = ' class="gsnb-figure"' if suffix == "png" else ""
     return (
@@ -81,28 +40,8 @@ def picture_html(address: str, content: bytes, metadata: Mapping[str, Any], suff
     )
 
 
-def _size(content: bytes) -> Sequence[int]:
-    import io
-
-    from PIL import Image
-
-    return Image.open(io.BytesIO(content)).size
-
-
 _SOLUTION = re.compile(r"^### (BEGIN|END) SOLUTION\n*", re.MULTILINE)
 _EMPTY = re.compile(r"^def (\w+)\(", re.MULTILINE)
-View = Callable[[str], str | None]
-"""Id of a cell -> HTML of its recorded view, if there is one."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Question:
-    """A prediction that a chapter asks for."""
-
-    name: str
-    text: str
-    choices: tuple[Any, ...]
-    unit: str
 
 
 class Chapter:
@@ -112,17 +51,14 @@ class Chapter:
         notebook: As nbformat stores it.
         page: Path of the notebook in the project.
         places: Where other files are.
-        view: Recorded views of its cells.
         bar: HTML under the title: how to open the chapter.
     """
 
-    def __init__(
-        self, notebook: Mapping[str, Any], page: str, places: Places, *, view: View = lambda _: None, bar: str = ""
-    ):
-        self.cells, self.page, self.places, self.view, self.bar = notebook["cells"], page, places, view, bar
-        stem = page.rpartition("/")[2].removesuffix(".ipynb")
-        self.number = int(stem.partition("_")[0])
-        self.files = Files(folder=f"{stem}_files")
+    def __init__(self, notebook: Mapping[str, Any], page: str, places: Places, *, bar: str = ""):
+        self.cells, self.page, self.places, self.bar = notebook["cells"], page, places, bar
+        self.stem = page.rpartition("/")[2].removesuffix(".ipynb")
+        self.files: dict[str, bytes] = {}
+        """Address relative to the page -> content of its pictures."""
         self._equations = count(1)
         self._asked, self._came = "", False
 
@@ -137,7 +73,7 @@ class Chapter:
         if self._came:  # the outputs between what came and the next text wait for the prediction, too
             self._asked, self._came = "", False
         text = in_the_book("".join(cell["source"]), self.page, self.places)
-        return numbered(text, str(self.number), lambda: next(self._equations))
+        return numbered(text, str(int(self.stem[:2])), lambda: next(self._equations))
 
     def _code(self, cell: Mapping[str, Any]) -> str:
         source = "".join(cell["source"]).strip()
@@ -145,9 +81,8 @@ class Chapter:
             return ""
         call = _last_call(source)
         if call is not None and _called(call) == "predict" and len(call.args) > 1:
-            asked = _question(call)
-            self._asked, self._came = asked.name, False
-            return raw(question_html(asked))
+            self._asked, self._came = ast.literal_eval(call.args[0]), False
+            return raw(question_html(call))
         if _SOLUTION.search(source):
             code = _SOLUTION.sub("", source).strip()
             opened = raw('<details class="gsnb-solution"><summary>Solution</summary>')
@@ -164,13 +99,29 @@ class Chapter:
         return f"{cell_begins}\n{_python(source)}\n{raw(f'{below}</div>{_hints(source)}')}"
 
     def _outputs(self, cell: Mapping[str, Any]) -> list[str]:
-        shown = outputs_html(cell, self.page, self.places, self.files)
-        view = self.view(cell["id"])
-        if view is not None:
-            pictures = [html for html in shown if html.startswith("<img")]
-            shown = [html for html in shown if html not in pictures[-1:]]
-            shown.insert(len(shown) if pictures else 0, view.replace("<!-- picture -->", "".join(pictures[-1:])))
-        return shown
+        """HTML of each output of a cell; what it printed in a row is one."""
+        found: list[str] = []
+        for is_stream, own in groupby(cell.get("outputs", []), key=lambda output: output["output_type"] == "stream"):
+            if is_stream:
+                found.append(_printed("".join("".join(output["text"]) for output in own).rstrip()))
+            else:
+                found += [self._shown(output, f"{cell['id']}-{len(found) + k}") for k, output in enumerate(own)]
+        return [html for html in found if html]
+
+    def _shown(self, output: Mapping[str, Any], name: str) -> str:
+        data, metadata = output.get("data", {}), output.get("metadata", {})
+        if "text/html" in data:
+            return f'<div class="gsnb-html">{source_links("".join(data["text/html"]), self.places)}</div>'
+        for kind, suffix in _PICTURES.items():
+            if kind in data:
+                address = f"{self.stem}_files/{name}.{suffix}"
+                self.files[address] = base64.b64decode("".join(data[kind]))
+                return picture_html(address, self.files[address], metadata.get(kind, {}), suffix)
+        return _printed("".join(data.get("text/plain", output.get("traceback", ""))))
+
+
+def _printed(text: str) -> str:
+    return f'<pre class="gsnb-printed" tabindex="0">{escape(text, quote=False)}</pre>' if text else ""
 
 
 def _python(code: str) -> str:
@@ -191,34 +142,29 @@ def _last_call(source: str) -> ast.Call | None:
     return last.value if isinstance(last, ast.Expr) and isinstance(last.value, ast.Call) else None
 
 
-def _question(call: ast.Call) -> Question:
-    values = [ast.literal_eval(a) for a in call.args]
-    named = {k.arg: ast.literal_eval(k.value) for k in call.keywords}
-    choices = values[2] if len(values) > 2 else named.get("choices", ())
-    return Question(name=values[0], text=values[1], choices=tuple(choices), unit=str(named.get("unit", "")))
-
-
 def _right(call: ast.Call) -> str:
     """The right choice where the cell names it."""
     given = [k.value for k in call.keywords if k.arg == "right"]
     return escape(str(ast.literal_eval(given[0]))) if given and isinstance(given[0], ast.Constant) else ""
 
 
-def question_html(asked: Question) -> str:
-    """A form that asks for a prediction; ``book.js`` shows what came after an answer."""
-    name = escape(asked.name)
+def question_html(call: ast.Call) -> str:
+    """The form of a call of ``predict``; ``book.js`` shows what came after an answer."""
+    given = dict(zip(("name", "question", "choices"), map(ast.literal_eval, call.args), strict=False))
+    given |= {k.arg: ast.literal_eval(k.value) for k in call.keywords}
+    name, unit = escape(given["name"]), given.get("unit", "")
 
     def words(choice: Any) -> str:
-        number = choice if isinstance(choice, str) else f"{choice:,}" if isinstance(choice, int) else f"{choice:,.4g}"
-        return escape(number if isinstance(choice, str) else f"{number} {asked.unit}".strip())
+        number = f"{choice:,}" if isinstance(choice, int) else f"{choice:,.4g}" if isinstance(choice, float) else ""
+        return escape(f"{number} {unit}".strip() if number else choice)
 
     inputs = [
         f'<label><input type="radio" name="{name}" value="{escape(str(choice))}"> {words(choice)}</label>'
-        for choice in asked.choices
-    ] or [f'<label>your number, {escape(asked.unit) or "any"}: <input type="number" step="any" name="{name}"></label>']
+        for choice in given.get("choices", ())
+    ] or [f'<label>your number, {escape(unit) or "any"}: <input type="number" step="any" name="{name}"></label>']
     return (
         f'<form class="gsnb-question" data-prediction="{name}"><fieldset><legend><b>Predict.</b> '
-        f'{escape(asked.text)}</legend><div class="gsnb-choices">{"".join(inputs)}</div>'
+        f'{escape(given["question"])}</legend><div class="gsnb-choices">{"".join(inputs)}</div>'
         '<button type="submit">See what came</button> <button type="button" class="gsnb-skip">Show without a '
         'prediction</button></fieldset><p role="status"></p></form>'
     )

@@ -1,158 +1,312 @@
-"""``gsfusion-nb bench``: list the cases and run them one after another; the results are kept if it is interrupted."""
+"""``gsfusion-nb bench``: time and memory of the operations on this machine; results are kept if it is interrupted."""
 
 import dataclasses
 import json
-import textwrap
+import os
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from ... import backends, optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
+import torch
+import tyro
+
+from ... import backends, seeding  # noqa: F401  (importing the rooms declares their operations)
+from ...backends import use_backend
+from ...checks import check_name, check_whole
+from ...config import DataConfig, TsdfConfig, gsfusion
+from ...data import OpenedSequence, open_sequence
 from ...files import write_file
-from ...work import ProgressDisplay
-from . import mapping
-from . import raster as raster_cases
-from . import tsdf as tsdf_cases
-from .cases import SECTIONS, BenchCase, BenchOptions, BenchRow
-from .timing import describe, header, threads
+from ...mapping import GSFusion
+from ...render import render_forward, render_vjp
+from ...tsdf import TsdfVolume, integrate, raycast
+from ...work import PeakMemory, ProgressDisplay
+from .scene import RandomScene, random_scene
+from .timing import Timing, describe, header, lap, measure, summary, threads
 
-CASES: dict[str, Callable[[BenchOptions], Iterator[BenchCase]]] = {
-    "raster": raster_cases.cases,
-    "tsdf": tsdf_cases.cases,
-    "map": mapping.map_cases,
+TIMED_BACKENDS = ("reference", "numba", "cuda")
+"""Those with a rasteriser and TSDF integration."""
+DEVICES = {"reference": "cpu", "numba": "cpu", "triton": "cuda", "cuda": "cuda"}
+"""Device of each backend."""
+_WALK = 200
+"""Frames of the room's walk; more frames are closer together on the same walk."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchOptions:
+    """Measure the speed of the toolkit on this machine and print a table."""
+
+    what: Annotated[str, tyro.conf.Positional] = "all"
+    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper) or all."""
+    data: str = "room"
+    """Folder of the sequence used by tsdf and map, or "room" for the built-in scene."""
+    size: tuple[str, ...] = ()
+    """Image sizes of the sequence, for example 320x240 640x480. Default: the size of the recording, 320x240 for the
+    room."""
+    frames: int = 0
+    """Number of frames of the sequence to use. 0: 60, or 8 with --quick."""
+    backend: tuple[str, ...] = ()
+    """Backends of gsfusion-nb to time: reference, numba, cuda. Default: all that run on this machine except reference,
+    which is slow because it is written for reading."""
+    threads: int = 1
+    """Number of threads for every method."""
+    quick: bool = False
+    """Run few and small cases, in one or two minutes, to test that everything works."""
+    json: str = ""
+    """Write all numbers to this file, as JSON."""
+
+    @property
+    def sections(self) -> tuple[str, ...]:
+        """Sections to run, in order."""
+        return tuple(SECTIONS) if self.what == "all" else (self.what,)
+
+    @property
+    def n_frames(self) -> int:
+        """Frames to use."""
+        return self.frames or (8 if self.quick else 60)
+
+    @property
+    def budget_s(self) -> float:
+        """Time for repeating one measurement, seconds."""
+        return 0.3 if self.quick else 1.0
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        """Image sizes as (width, height); (0, 0) is the recording's own."""
+        if not self.size:
+            return [(320, 240) if self.data == "room" else (0, 0)]
+        return [_parse_size(text) for text in self.size]
+
+    def check(self) -> None:
+        """Check the options before anything is run.
+
+        Raises:
+            KeyError, ValueError, OSError: an invalid option.
+        """
+        check_name("bench", self.what, ("all", *SECTIONS))
+        for backend in self.backend:
+            check_name("backend", backend, TIMED_BACKENDS)
+        check_whole("--threads", self.threads, 1, os.cpu_count() or 1)
+        check_whole("--frames", self.n_frames, 2)
+        for size in self.sizes:
+            if self.what != "raster":
+                open_frames(self, size)
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit()) or min(int(width), int(height)) < 32:
+        raise ValueError(f"--size must look like 320x240, and be at least 32x32, got {text!r}")
+    return int(width), int(height)
+
+
+def open_frames(options: BenchOptions, size: tuple[int, int]) -> OpenedSequence:
+    """The sequence that the options ask for, without held-out frames; nothing is read yet."""
+    data = DataConfig(width=size[0], height=size[1], stop=options.n_frames, hold_out_every=0)
+    walk: dict[str, Any] = {"n_frames": max(_WALK, options.n_frames)} if options.data == "room" else {}
+    return open_sequence(options.data, data=data, **walk)
+
+
+def _case_name(frames: OpenedSequence) -> str:
+    """Sequence and size, short enough for the table."""
+    name = frames.name if len(frames.name) <= 13 else frames.name[:12] + "~"
+    return f"{name} {frames.camera.width}x{frames.camera.height}"
+
+
+def our_backends(options: BenchOptions, *operations: str) -> list[str]:
+    """The requested backends that can run all of ``operations`` on this machine, slow ones first.
+
+    The reference is written for reading: it is timed only if the options name it.
+    """
+    working = {(name, backend) for name, backend, state in backends.report() if state == "ok"}
+    usable = [b for b in backends.BACKENDS if all((name, b) in working for name in operations)]
+    asked = [b for b in usable if b in options.backend or (not options.backend and b != "reference")]
+    return [b for b in asked if DEVICES[b] == "cpu" or torch.cuda.is_available()]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRow:
+    """One line of the table."""
+
+    section: str
+    """Key of ``SECTIONS``."""
+    case: str
+    """The work."""
+    method: str
+    """The backend."""
+    timing: Timing
+    note: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
+    """Further numbers, for the JSON file."""
+
+
+COUNTS = (5_000, 20_000, 100_000)
+SIZES = ((320, 240), (640, 480))
+SH_DEGREES = (0, 3)
+ON_A_GPU = (200_000, 1200, 680, 3, "cuda")
+"""Gaussians, width, height, degree and device of the case that only runs on a GPU."""
+
+
+def raster_rows(options: BenchOptions) -> Iterator[BenchRow]:
+    """Random scenes, forward, and forward with the gradient of every parameter; on a GPU one large scene more."""
+    counts, sizes, degrees = (COUNTS[:2], SIZES[:1], (3,)) if options.quick else (COUNTS, SIZES, SH_DEGREES)
+    cases = [(n, *size, degree, "cpu") for degree in degrees for size in sizes for n in counts]
+    cases += [ON_A_GPU] if torch.cuda.is_available() else []
+    for n, width, height, degree, device in cases:
+        scene = random_scene(n, width, height, sh_degree=degree)
+        for backward in (False, True):
+            title = f"{n / 1000:g}k {width}x{height} SH{degree} {'fwd+bwd' if backward else 'fwd'}"
+            for backend in our_backends(options, "render_forward", "render_vjp"):
+                on = DEVICES[backend]
+                if device == "cuda" and on == "cpu":
+                    continue
+                here = scene.to(on)
+                timing = measure(lambda b=backend, s=here, v=backward: _draw(b, s, v), options.budget_s, on)
+                yield BenchRow(section="raster", case=title, method=backend, timing=timing)
+
+
+def _draw(backend: str, scene: RandomScene, backward: bool) -> None:
+    with use_backend(backend):
+        _, saved = render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
+        if backward:
+            render_vjp(saved, scene.v_rgb)
+
+
+VOXEL_SIZES_M = (0.02, 0.01)
+TRUNCATION_VOXELS = 4.0
+FAR_M = 5.0
+LOOK_EVERY = 4
+"""Frames from one raycast to the next."""
+
+
+def tsdf_rows(options: BenchOptions) -> Iterator[BenchRow]:
+    """Integration with colour: decoded frames are fused one after another into an empty volume; then raycasts."""
+    for size in options.sizes:
+        opened = open_frames(options, size)
+        decoded = [opened[i] for i in range(len(opened))]
+        for voxel_m in VOXEL_SIZES_M[:1] if options.quick else VOXEL_SIZES_M:
+            config = TsdfConfig(voxel_size_m=voxel_m, truncation_voxels=TRUNCATION_VOXELS, near_m=0.0, far_m=FAR_M)
+            for backend in our_backends(options, "band_blocks", "fuse_frame_"):
+                device, updated = DEVICES[backend], []
+                frames = [frame.to(device) for frame in decoded]
+                camera, poses = frames[0].camera, [frame.T_WC for frame in frames[::LOOK_EVERY]]
+                with use_backend(backend):
+                    volume = TsdfVolume(config, device=device)
+                    integrate(volume, frames[0])  # compiles, as does the first raycast
+                    raycast(volume, camera, poses[0])
+                    with PeakMemory(device) as memory:
+                        volume = TsdfVolume(config, device=device)
+                        laps = [
+                            lap(lambda v=volume, f=f, u=updated: u.append(integrate(v, f).updated_voxels), device)
+                            for f in frames
+                        ]
+                    looks = [lap(lambda v=volume, c=camera, T=T: raycast(v, c, T), device) for T in poses]
+                timing, case = summary(laps, memory.peak_mb), f"{_case_name(opened)} {100 * voxel_m:g} cm"
+                values = {"frames": len(frames), "blocks": volume.n_blocks,
+                          "updated_voxels_per_frame": sum(updated) / len(frames)}  # fmt: skip
+                yield BenchRow(section="tsdf", case=case, method=backend, timing=timing, values=values)
+                yield BenchRow(section="tsdf", case=f"{case} / raycast", method=backend, timing=summary(looks))
+
+
+STAGES = {
+    "read": "read", "tsdf": "TSDF", "quadtree": "quadtree", "seeding": "seeding", "optimise": "optimisation",
+}  # fmt: skip
+"""Stage of the step's report -> its name in the table."""
+
+
+def map_rows(options: BenchOptions) -> Iterator[BenchRow]:
+    """The whole mapper by stage: the reference, if it is asked for, then the fastest backend of each operation.
+
+    On a GPU the time of a stage ends when its work is queued; the time of the whole step includes its execution.
+    """
+    found = our_backends(options, "render_forward", "render_vjp")
+    methods = [(b, b, "cpu") for b in found if b == "reference"]
+    methods += [(f"auto ({b})", "auto", DEVICES[b]) for b in ("numba", "cuda") if b in found]
+    for size in options.sizes:
+        for method, backend, device in methods:
+            with use_backend(backend):
+                yield from _mapper_rows(open_frames(options, size), method, device)
+
+
+def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[BenchRow]:
+    config, n = gsfusion("online"), len(frames)
+    GSFusion(config, device=device).step(frames[0])  # compiles, and renders the first image of the room
+    for i in range(n):
+        frames[i]  # images of the room are rendered once and kept
+    seconds, cpu_s = dict.fromkeys(STAGES, 0.0), 0.0
+    with PeakMemory(device) as memory:
+        mapper = GSFusion(config, device=device)
+        for i in range(n):
+            start = time.perf_counter()
+            frame = frames[i]
+            seconds["read"] += time.perf_counter() - start
+            cpu = time.process_time()
+            report = mapper.step(frame)
+            cpu_s += time.process_time() - cpu
+            for stage, took in report.seconds.items():
+                seconds[stage] = seconds.get(stage, 0.0) + took
+    step_s = sum(took for stage, took in seconds.items() if stage != "read")
+    values = {"frames": n, "frames_per_second": n / step_s, "n_gaussians": len(mapper.gaussians)}
+    case, note = _case_name(frames), f"{n / step_s:.1f}/s, {len(mapper.gaussians) / 1e3:.1f}k"
+    total = Timing(wall_ms=1e3 * step_s / n, cpu_ms=1e3 * cpu_s / n, runs=n, peak_mb=memory.peak_mb)
+    yield BenchRow(section="map", case=case, method=method, timing=total, note=note, values=values)
+    for stage, name in STAGES.items():
+        each = Timing(wall_ms=1e3 * seconds[stage] / n, cpu_ms=0.0, runs=n, peak_mb=None)
+        share = "not counted" if stage == "read" else f"{100 * seconds[stage] / step_s:.0f} %"
+        yield BenchRow(section="map", case=f"{case} / {name}", method=method, timing=each, note=share)
+
+
+SECTIONS: dict[str, tuple[str, Callable[[BenchOptions], Iterator[BenchRow]]]] = {
+    "raster": ("Gaussian rasteriser", raster_rows),
+    "tsdf": ("integration with colour, truncation 4 voxels; raycasts", tsdf_rows),
+    "map": ("GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians", map_rows),
 }
-_HEADINGS = ("case", "method", "wall ms", "CPU ms", "speed", "MB", "runs", "note")
-
-
-@dataclass(kw_only=True)
-class BenchResult:
-    """All results."""
-
-    options: BenchOptions
-    machine: dict[str, Any]
-    rows: list[BenchRow] = field(default_factory=list)
-    missing: dict[str, dict[str, str]] = field(default_factory=dict)
-    """Section -> backend that was not measured -> reason, and how to install it."""
-    n_cases: int = 0
-    n_done: int = 0
-
-    def text(self) -> str:
-        """Machine, a Markdown table for each section, and what the columns mean."""
-        clock = "CPU" if self.options.threads == 1 else "wall"
-        legend = (
-            "Medians of several runs. CPU ms: all threads together. speed: how many times faster than the first row of "
-            f"the case, by {clock} time, on a GPU by the time between two events in its queue. MB: growth of memory."
-        )
-        parts = ["\n".join(header(self.machine))]
-        for section, about in SECTIONS.items():
-            rows = [_cells(row) for row in self.rows if row.section == section]
-            lines = [f"**{section}**: {about}", "", *_aligned([_HEADINGS, *rows])] if rows else []
-            lines += [f"{section}: {name}: {why}" for name, why in self.missing.get(section, {}).items()]
-            parts += ["\n".join(lines)] if lines else []
-        return "\n\n".join([*parts, textwrap.fill(legend, width=100)])
-
-    def as_dict(self) -> dict[str, Any]:
-        """For the JSON file."""
-        return {
-            "machine": self.machine,
-            "options": dataclasses.asdict(self.options),
-            "interrupted": self.n_done < self.n_cases,
-            "not_measured": self.missing,
-            "rows": [dataclasses.asdict(row) for row in self.rows],
-        }
+_HEADINGS = ("case", "method", "wall ms", "CPU ms", "GPU ms", "MB", "runs", "note")
 
 
 def main(options: BenchOptions) -> int:
-    """Run, print the table and write the JSON file. Returns 0, or 130 after Ctrl-C."""
-    result = run_bench(options)
-    print(result.text())
-    if options.json:
-        write_file(Path(options.json).expanduser(), json.dumps(result.as_dict(), indent=1) + "\n")
-        print(f"All numbers: {options.json}")
-    if result.n_done < result.n_cases:
-        print(f"Interrupted after {result.n_done} of {result.n_cases} cases.")
-        return 130
-    return 0
-
-
-def run_bench(options: BenchOptions) -> BenchResult:
-    """Run the cases of ``options``; after Ctrl-C the result contains the measurements so far.
+    """Run, print the table and write the JSON file. Returns 0, or 130 after Ctrl-C with the measurements so far.
 
     Raises:
         KeyError, ValueError, OSError: invalid options; raised before anything is run.
     """
     options.check()
-    with threads(options.threads):
-        result = BenchResult(options=options, machine=describe(options.threads), missing=not_measured(options))
-        planned = [case for section in options.sections for case in CASES[section](options)]
-        result.n_cases = len(planned)
-        with ProgressDisplay("bench", total=len(planned), unit="case", leave=False) as progress:
-            try:
-                for case in planned:
-                    progress.show(result.n_done, note=f"{case.section}: {case.title}")
-                    result.rows += case.run()
-                    result.n_done += 1
-                progress.show(result.n_done)
-            except KeyboardInterrupt:
-                pass
-    result.rows = with_speed(result.rows, options.threads)
-    return result
-
-
-def with_speed(rows: list[BenchRow], threads: int) -> list[BenchRow]:
-    """Fill in ``speed``: from CPU time with one thread, which other programs affect less; else from wall time.
-
-    On a GPU the time between two events of its queue is used.
-    """
-    first: dict[tuple[str, str], float] = {}
-    result = []
-    for row in rows:
-        t = row.timing
-        took = t.cpu_ms if threads == 1 and t.cpu_ms > 0 else t.wall_ms
-        took = took if t.device_ms is None else t.device_ms
-        base = first.setdefault((row.section, row.case), took)
-        result.append(dataclasses.replace(row, speed=base / took if took > 0 else None))
-    return result
-
-
-def not_measured(options: BenchOptions) -> dict[str, dict[str, str]]:
-    """Backends of the chosen sections that cannot run on this machine, with the reason."""
-    sections = {"render_forward": "raster", "fuse_frame_": "tsdf"}
-    missing: dict[str, dict[str, str]] = {}
-    for operation, backend, state in backends.report():
-        if state != "ok" and sections.get(operation) in options.sections:
-            missing.setdefault(sections[operation], {})[backend] = state
-    return missing
+    rows: list[BenchRow] = []
+    interrupted = False
+    with threads(options.threads), ProgressDisplay("bench", unit="row", leave=False) as progress:
+        machine = describe(options.threads)
+        try:
+            for section in options.sections:
+                for row in SECTIONS[section][1](options):
+                    rows.append(row)
+                    progress.show(len(rows), note=f"{section}: {row.case}")
+        except KeyboardInterrupt:
+            interrupted = True
+    print("\n".join(header(machine)))
+    for section in options.sections:
+        cells = [_cells(row) for row in rows if row.section == section]
+        print("\n".join(["", f"**{section}**: {SECTIONS[section][0]}", "", *_aligned([_HEADINGS, *cells])]))
+    print("\nMedians of several runs. CPU ms: all threads together. GPU ms: between two events in its queue.")
+    if options.json:
+        document = {"machine": machine, "options": dataclasses.asdict(options), "interrupted": interrupted,
+                    "rows": [dataclasses.asdict(row) for row in rows]}  # fmt: skip
+        write_file(Path(options.json).expanduser(), json.dumps(document, indent=1) + "\n")
+        print(f"All numbers: {options.json}")
+    if interrupted:
+        print("Interrupted.")
+    return 130 if interrupted else 0
 
 
 def _cells(row: BenchRow) -> tuple[str, ...]:
     t = row.timing
-    device = "" if t.device_ms is None else f"GPU {number(t.device_ms)} ms "
-    return (
-        row.case,
-        row.method,
-        number(t.wall_ms),
-        number(t.cpu_ms) if t.cpu_ms > 0 else "",
-        "" if row.speed is None else f"{number(row.speed)}x",
-        "" if t.peak_mb is None else f"{t.peak_mb:.0f}",
-        str(t.runs),
-        (device + row.note).strip(),
-    )
+    times = ("" if not ms else f"{ms:.0f}" if ms >= 100 else f"{ms:.2f}" for ms in (t.wall_ms, t.cpu_ms, t.device_ms))
+    memory = "" if t.peak_mb is None else f"{t.peak_mb:.0f}"
+    return (row.case, row.method, *times, memory, str(t.runs), row.note)
 
 
 def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
     """Lines of a Markdown table, headings first, whose columns are also aligned in a terminal."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    on_the_right = range(2, 7)
-    lines = [
-        "| " + " | ".join(c.rjust(w) if k in on_the_right else c.ljust(w) for k, (c, w) in enumerate(cells)) + " |"
-        for cells in (zip(row, widths, strict=True) for row in rows)
-    ]
-    rule = "|" + "|".join("-" * (w + 1) + (":" if k in on_the_right else "-") for k, w in enumerate(widths)) + "|"
-    return [lines[0], rule, *lines[1:]]
-
-
-def number(x: float) -> str:
-    """Three significant digits, without an exponent."""
-    return f"{x:.0f}" if x >= 100 else f"{x:.1f}" if x >= 10 else f"{x:.2f}"
+    lines = [f"| {' | '.join(cell.ljust(w) for cell, w in zip(row, widths, strict=True))} |" for row in rows]
+    return [lines[0], f"|{'|'.join('-' * (w + 2) for w in widths)}|", *lines[1:]]

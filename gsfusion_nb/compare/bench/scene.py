@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...constants import ALPHA_MIN
 from ...geometry import se3
 from ...geometry.spherical_harmonics import rgb_to_sh_dc
+from ...render.constants import ALPHA_MIN
 from ...types import Camera, GaussianParams
 
 BORDER = 0.05

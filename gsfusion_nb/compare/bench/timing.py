@@ -67,7 +67,7 @@ def _wait(device: str) -> None:
         torch.cuda.synchronize()
 
 
-def measure(work: Callable[[], object], *, budget_s: float = 1.0, device: str = "cpu") -> Timing:
+def measure(work: Callable[[], object], budget_s: float = 1.0, device: str = "cpu") -> Timing:
     """Repeat ``work`` for about ``budget_s`` and take medians.
 
     An untimed first run compiles and fills caches; the first timed run also measures memory. Work that takes longer
@@ -102,29 +102,21 @@ def summary(laps: list[Lap], peak_mb: float | None = None) -> Timing:
 
 @contextlib.contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Set the number of threads of torch, of the numba kernels (which use torch's number) and of libraries loaded
-    later."""
-    before, environment = torch.get_num_threads(), os.environ.get("OMP_NUM_THREADS")
+    """Set the number of threads of torch and of the numba kernels, which use torch's number."""
+    before = torch.get_num_threads()
     torch.set_num_threads(count)
-    os.environ["OMP_NUM_THREADS"] = str(count)
     try:
         yield
     finally:
         torch.set_num_threads(before)
-        if environment is None:
-            del os.environ["OMP_NUM_THREADS"]
-        else:
-            os.environ["OMP_NUM_THREADS"] = environment
 
 
 def describe(threads: int) -> dict[str, Any]:
     """Processor, versions, and the load from other programs."""
-    versions: dict[str, str | None] = {"gsfusion_nb": __version__, "python": platform.python_version()}
+    versions = {"gsfusion_nb": __version__, "python": platform.python_version()}
     for name in PACKAGES:
-        try:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = None
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -143,7 +135,7 @@ def header(machine: dict[str, Any]) -> list[str]:
     threads = f"{machine['threads']} thread{'s' if machine['threads'] > 1 else ''} of {machine['cores']} cores"
     lines = [
         f"{machine['processor']}{gpu}; {threads}; {machine['date'][:16].replace('T', ' ')}",
-        ", ".join(f"{name} {v}" for name, v in machine["versions"].items() if v),
+        ", ".join(f"{name} {v}" for name, v in machine["versions"].items()),
     ]
     load = machine["load_average"]
     if load is not None and load > 0.5:

@@ -1,7 +1,6 @@
-"""The chapters as assignments for nbgrader and for Otter-Grader: points, solution cells, visible and hidden tests.
+"""The chapters as assignments for nbgrader and for Otter-Grader: points, solution cells and tests.
 
-Neither program is needed for the export. Both then mark through this package's sandbox (``nbgrader_marks``,
-``otter_marks``), so that a submission runs in a process of its own there, too.
+Neither program is needed for the export. Both then mark as they do any notebook, by the checks of the course.
 """
 
 import copy
@@ -10,8 +9,7 @@ import re
 from pathlib import Path
 from typing import Any, Literal
 
-from ...files import write_file
-from ...foreign import read_object
+from ...files import read_object, write_file
 from ..copies import without_solutions
 from ..exercise import exercises
 from .marks import Points
@@ -20,31 +18,16 @@ Target = Literal["nbgrader", "otter"]
 
 _BEGIN, _END = "### BEGIN SOLUTION", "### END SOLUTION"
 _CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$")
-_HIDDEN = """from gsfusion_nb.course.grading.marking import hidden_test
+_NBGRADER_CONFIG = '''"""Settings of nbgrader for the chapters of gsfusion-nb."""
 
-hidden_test("{name}", {name}, In, seed={seed})"""
+import os
 
-_NBGRADER_CONFIG = '''"""Settings of nbgrader for the chapters of gsfusion-nb.
-
-Marks come from its sandbox, not from a kernel.
-"""
-
-from nbgrader.preprocessors import (
-    AssignLatePenalties, CheckCellMetadata, IgnorePattern, LimitOutput, SaveAutoGrades,
-)
-
-from gsfusion_nb.course.grading.nbgrader_marks import MarkInSandbox
-
+os.environ["GSNB_VIEW"] = "static"  # a submission that is marked leaves nothing in your own progress
 c = get_config()  # noqa: F821
 c.CourseDirectory.course_id = "gsfusion_nb"
-c.ClearSolutions.code_stub = {{"python": "# YOUR CODE HERE"}}
+c.ClearSolutions.code_stub = {"python": "# YOUR CODE HERE"}
 c.OverwriteCells.add_missing_cells = True
-c.Autograde.autograde_preprocessors = [
-    MarkInSandbox, IgnorePattern, LimitOutput, SaveAutoGrades, AssignLatePenalties, CheckCellMetadata,
-]
-c.MarkInSandbox.seed = {seed}  # of the hidden inputs
-c.MarkInSandbox.seconds = 30.0  # of processor time, for each function
-c.MarkInSandbox.memory_mb = 1024
+c.Execute.timeout = 600  # seconds, of a cell
 '''
 
 _OTTER_CONFIG = """# ASSIGNMENT CONFIG
@@ -53,16 +36,10 @@ export_cell: false
 run_tests: false
 tests:
     ok_format: true
-generate:
-    plugins:
-        - gsfusion_nb.course.grading.otter_marks.MarkInSandbox:
-            seed: {seed}
-            seconds: 30.0
-            memory_mb: 1024
 """
 
 
-def export_course(notebooks: list[Path], target: Path, kind: Target, *, points: Points, seed: int) -> list[Path]:
+def export_course(notebooks: list[Path], target: Path, kind: Target, *, points: Points) -> list[Path]:
     """Write each chapter as an assignment into the folder ``target``. Returns the files written.
 
     Args:
@@ -71,7 +48,6 @@ def export_course(notebooks: list[Path], target: Path, kind: Target, *, points: 
         kind: For nbgrader, a course folder with ``source`` and ``nbgrader_config.py``; for Otter, a folder for each
             chapter with the notebook that ``otter assign`` takes.
         points: The most points of each exercise.
-        seed: Of the hidden inputs.
 
     Raises:
         ValueError: no notebook, a folder that is not empty, or a notebook without exercises.
@@ -83,7 +59,7 @@ def export_course(notebooks: list[Path], target: Path, kind: Target, *, points: 
     written = []
     for path in notebooks:
         notebook = _without_told_solutions(read_object(path, "a notebook"))
-        cells = assignment_cells(notebook["cells"], kind, points, seed)
+        cells = assignment_cells(notebook["cells"], kind, points)
         if len(cells) == 0 or not any(_named(cell) for cell in notebook["cells"]):
             raise ValueError(f"{path} has no exercise")
         exported = {**notebook, "cells": _with_ids(cells)}
@@ -92,13 +68,13 @@ def export_course(notebooks: list[Path], target: Path, kind: Target, *, points: 
         write_file(written[-1], json.dumps(exported, indent=1, ensure_ascii=False) + "\n")
     if kind == "nbgrader":
         written.append(target / "nbgrader_config.py")
-        write_file(written[-1], _NBGRADER_CONFIG.format(seed=seed))
+        write_file(written[-1], _NBGRADER_CONFIG)
     return written
 
 
-def assignment_cells(cells: list[dict[str, Any]], kind: Target, points: Points, seed: int) -> list[dict[str, Any]]:
+def assignment_cells(cells: list[dict[str, Any]], kind: Target, points: Points) -> list[dict[str, Any]]:
     """The cells of a solved chapter with the solutions, tests and points marked as ``kind`` wants them."""
-    made: list[dict[str, Any]] = [] if kind == "nbgrader" else [_raw(_OTTER_CONFIG.format(seed=seed))]
+    made: list[dict[str, Any]] = [] if kind == "nbgrader" else [_raw(_OTTER_CONFIG)]
     for cell in copy.deepcopy(cells):
         source = "".join(cell["source"])
         if cell["cell_type"] == "code":
@@ -109,9 +85,9 @@ def assignment_cells(cells: list[dict[str, Any]], kind: Target, points: Points, 
         elif name is None:
             made.append(cell)
         elif kind == "nbgrader":
-            made += _nbgrader_test(made, cell, name, points, seed)
+            made.append(_nbgrader_test(made, cell, name, points))
         else:
-            _otter_question(made, cell, name, points, seed)
+            _otter_question(made, cell, name, points)
     return made
 
 
@@ -144,9 +120,7 @@ def _stub(made: list[dict[str, Any]], name: str) -> int:
     return max(i for i, c in enumerate(made) if c["cell_type"] == "code" and f"def {name}(" in "".join(c["source"]))
 
 
-def _nbgrader_test(
-    made: list[dict[str, Any]], cell: dict[str, Any], name: str, points: Points, seed: int
-) -> list[dict[str, Any]]:
+def _nbgrader_test(made: list[dict[str, Any]], cell: dict[str, Any], name: str, points: Points) -> dict[str, Any]:
     """The cell with the tests of an exercise; marks the cell of its answer."""
     common = {"schema_version": 3, "task": False}
     answer = {"grade": False, "grade_id": f"answer-{name}", "locked": False, "solution": True}
@@ -154,23 +128,21 @@ def _nbgrader_test(
     most = points.of(exercises()[name])
     test = {"grade": True, "grade_id": f"test-{name}", "locked": True, "solution": False, "points": most}
     cell["metadata"]["nbgrader"] = test | common
-    hidden = _HIDDEN.format(name=name, seed=seed)
-    cell["source"] = f"check.{name}({name})\n### BEGIN HIDDEN TESTS\n{hidden}\n### END HIDDEN TESTS"
-    return [cell]
+    cell["source"] = f"assert check.{name}({name}), check.{name}({name})"
+    return cell
 
 
-def _otter_question(made: list[dict[str, Any]], cell: dict[str, Any], name: str, points: Points, seed: int) -> None:
+def _otter_question(made: list[dict[str, Any]], cell: dict[str, Any], name: str, points: Points) -> None:
     """Put the raw cells of a question around the cell of its answer, and its tests after it."""
     at = _stub(made, name)
     answer = made[at]
     source = "".join(answer["source"])
     answer["source"] = source.replace(_BEGIN, "# BEGIN SOLUTION NO PROMPT").replace(_END, "# END SOLUTION")
     most = points.of(exercises()[name])
-    hidden = '""" # BEGIN TEST CONFIG\nhidden: true\n""" # END TEST CONFIG\n' + _HIDDEN.format(name=name, seed=seed)
     made[at : at + 1] = [
         _raw(f"# BEGIN QUESTION\nname: {name}\npoints: {most:g}\nall_or_nothing: true"),
         _raw("# BEGIN SOLUTION"), answer, _raw("# END SOLUTION"),
-        _raw("# BEGIN TESTS"), _shows_true(f"bool(check.{name}({name}))"), _shows_true(hidden), _raw("# END TESTS"),
+        _raw("# BEGIN TESTS"), _shows_true(f"bool(check.{name}({name}))"), _raw("# END TESTS"),
         _raw("# END QUESTION"),
     ]  # fmt: skip
     made.append(cell)

@@ -1,30 +1,22 @@
-"""Grading a class: points, marks of all students as CSV, and the page that says what the points are for."""
+"""Grading a class: points, and the marks of all students as CSV."""
 
 import csv
 import io
 import os
-import secrets
-import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from ...drawing.page import fill
-from ...errors import SequenceError
-from ...files import plain_cell, write_file
-from ...foreign import read_bytes
-from ...work import Died, WorkerPool, usable_cores
-from ..course import TITLES
+from ...files import SequenceError, plain_cell, read_bytes, write_file
+from ...work import usable_cores
+from ..attempt import Verdict
 from ..exercise import DIFFICULTIES, Exercise, exercises
-from .marking import properties, verdicts, why
-from .sandbox import Limits, check_possible
+from .sandbox import Limits, verdicts
 from .submission import Submission, choose, defines, read_code
 
 COLUMNS = ("student", "exercise", "points", "max", "failed property", "message")
-
-
 BY_DIFFICULTY = {1: 1.0, 2: 2.0, 3: 3.0, 4: 5.0, 5: 8.0}
 
 
@@ -54,16 +46,11 @@ def read_points(path: Path) -> Points:
         table = tomllib.loads(read_bytes(path, "a table of points").decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, SequenceError) as e:
         raise ValueError(f"{path}: {e}") from None
-    unknown = set(table) - {"difficulty", "exercise"}
-    if unknown:
-        raise ValueError(f"{path}: unknown section {sorted(unknown)[0]!r}; there are difficulty and exercise")
     known = {"difficulty": {str(d) for d in DIFFICULTIES}, "exercise": set(exercises())}
-    for section, names in known.items():
-        for name, value in table.get(section, {}).items():
-            if name not in names:
-                raise ValueError(f"{path}: there is no {section} {name!r}")
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < 1e6:
-                raise ValueError(f"{path}: the points of {section} {name} must be a number from 0 on, got {value!r}")
+    for section, entries in table.items():
+        for name, value in dict(entries).items():
+            if name not in known.get(section, ()) or not isinstance(value, (int, float)) or value < 0:
+                raise ValueError(f"{path}: there is no {section} {name!r} with {value!r} points")
     by_difficulty = {int(d): float(v) for d, v in table.get("difficulty", {}).items()}
     return Points(by_difficulty, {name: float(v) for name, v in table.get("exercise", {}).items()})
 
@@ -82,22 +69,6 @@ class Mark:
     """What was returned and what was expected, or why nothing could be judged."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Grading:
-    """How a class is graded."""
-
-    names: tuple[str, ...]
-    """Exercises, in the order of the course."""
-    points: Points
-    limits: Limits
-    seed: int
-
-
-def new_seed() -> int:
-    """A seed that nobody has seen."""
-    return secrets.randbelow(10**9)
-
-
 def exercises_of(chapters: Sequence[int], names: Sequence[str], submissions: Sequence[Submission]) -> tuple[str, ...]:
     """The exercises to mark: those named, those of the chapters, or of every chapter that a submission has a part of.
 
@@ -105,28 +76,25 @@ def exercises_of(chapters: Sequence[int], names: Sequence[str], submissions: Seq
         ValueError: no such exercise or chapter, or nothing in the submissions to recognise a chapter by.
     """
     every = exercises()
-    for name in names:
-        if name not in every:
-            raise ValueError(f"no exercise {name!r}; there are: {', '.join(every)}")
-    known = {e.chapter for e in every.values()}
-    for chapter in chapters:
-        if chapter not in known:
-            raise ValueError(f"no chapter {chapter} with exercises; there are {', '.join(map(str, sorted(known)))}")
+    unknown = {*names} - {*every} or {*chapters} - {e.chapter for e in every.values()}
+    if unknown:
+        raise ValueError(f"no exercise or chapter with exercises {unknown}; there are: {', '.join(every)}")
     wanted = set(chapters)
     if not names and not chapters:
         codes = [read_code(file) for each in submissions for file in each.files]
         wanted = {e.chapter for e in every.values() if any(defines(code, e.name) for code in codes)}
-        if not wanted:
-            raise ValueError(
-                "no submission defines a function of an exercise; name exercises or chapters to mark zeros"
-            )
-    return tuple(e.name for e in every.values() if e.name in names or e.chapter in wanted)
+    found = tuple(e.name for e in every.values() if e.name in names or e.chapter in wanted)
+    if not found:
+        raise ValueError("no submission defines a function of an exercise; name exercises or chapters to mark zeros")
+    return found
 
 
 def grade(
     submissions: Sequence[Submission],
-    grading: Grading,
+    names: Sequence[str],
     *,
+    points: Points,
+    limits: Limits,
     jobs: int = 0,
     tell: Callable[[str], None] = lambda line: None,
 ) -> list[Mark]:
@@ -134,64 +102,48 @@ def grade(
 
     Args:
         submissions: Of each student.
-        grading: What is marked, and how.
+        names: Exercises, in the order of the course.
+        points: The most points of each exercise.
+        limits: Of each function.
         jobs: Students at the same time; 0: one for each core, at most 8.
         tell: Gets a line for each student.
-
-    Raises:
-        NoSandbox: this system cannot run submissions in a sandbox.
     """
-    check_possible()
-    marks: dict[int, list[Mark]] = {}
-    left = list(range(len(submissions)))
-    n_jobs = min(jobs or min(usable_cores(), 8), len(submissions))
-    environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "GSFUSION_BACKEND": "reference"}
-    folder = tempfile.TemporaryDirectory(prefix="gsnb-class-", ignore_cleanup_errors=True)
-    environment["TMPDIR"] = folder.name  # the clean copies of ended workers go with it
-    with folder, WorkerPool(_grade_one, n_jobs, environment) as pool:
-        while left or pool.running:
-            while left and pool.has_room:
-                i = left.pop(0)
-                pool.start(i, (submissions[i], grading))
-            for i, result in pool.wait():
-                got = result if isinstance(result, list) else _not_graded(submissions[i], grading, result is Died)
-                marks[i] = got
-                total, most = sum(m.points for m in got), sum(m.most for m in got)
-                tell(f"{len(marks)} of {len(submissions)}: {submissions[i].student}: {total:g} of {most:g} points")
-    return [mark for i in sorted(marks) for mark in marks[i]]
+
+    def of(submission: Submission) -> list[Mark]:
+        marks = _marks(submission, names, points, limits)
+        total, most = sum(m.points for m in marks), sum(m.most for m in marks)
+        tell(f"{submission.student}: {total:g} of {most:g} points")
+        return marks
+
+    with ThreadPoolExecutor(jobs or min(usable_cores(), 8)) as pool:
+        return [mark for marks in pool.map(of, submissions) for mark in marks]
 
 
-def _grade_one(submission: Submission, grading: Grading) -> list[Mark]:
-    """In a worker process."""
+def _marks(submission: Submission, names: Sequence[str], points: Points, limits: Limits) -> list[Mark]:
+    every = exercises()
     codes = [read_code(file) for file in submission.files]
-    chosen = {name: choose(codes, name, exercises()[name].chapter) for name in grading.names}
-    cells = {name: code.cells for name, code in chosen.items() if code is not None}
-    found = verdicts(cells, grading.seed, grading.limits)
-    problems = [code.problem for code in codes if code.problem]
-    files = ", ".join(code.file.name for code in codes) or "the submission"
+    chosen = {name: choose(codes, name, every[name].chapter) for name in names}
+    found = verdicts({name: code.cells for name, code in chosen.items() if code is not None}, limits)
+    problem = next((code.problem for code in codes if code.problem), "")
     marks = []
-    for name in grading.names:
-        most = grading.points.of(exercises()[name])
-        mark = Mark(student=submission.student, exercise=name, points=0.0, most=most)
-        if name not in found:
-            message = problems[0] if problems else f"there is no function {name} in {files}"
-            mark = replace(mark, prop="it is submitted", message=message)
-        elif found[name]:
-            mark = replace(mark, points=most)
-        else:
-            prop, message = why(found[name])
-            mark = replace(mark, prop=prop, message=message)
-        marks.append(mark)
+    for name in names:
+        most = points.of(every[name])
+        message = problem or f"there is no function {name} in {', '.join(code.file.name for code in codes)}"
+        prop, message = why(found[name]) if name in found else ("it is submitted", message)
+        right = name in found and bool(found[name])
+        marks.append(
+            Mark(student=submission.student, exercise=name, points=most * right, most=most, prop=prop, message=message)
+        )
     return marks
 
 
-def _not_graded(submission: Submission, grading: Grading, died: bool) -> list[Mark]:
-    message = f"the grader {'ended' if died else 'failed'} while it judged this submission: mark it by hand"
-    return [
-        Mark(student=submission.student, exercise=name, points=0.0, most=grading.points.of(exercises()[name]),
-             prop="it can be judged", message=message)
-        for name in grading.names
-    ]  # fmt: skip
+def why(verdict: Verdict) -> tuple[str, str]:
+    """The property that failed, and what was returned and expected; both empty for a right answer."""
+    if verdict:
+        return "", ""
+    if verdict.state == "not written":
+        return "it is written", verdict.detail
+    return verdict.prop, f"input: {verdict.on}; {verdict.detail}" if verdict.on else verdict.detail
 
 
 def as_csv(marks: Iterable[Mark]) -> str:
@@ -209,17 +161,3 @@ def write_marks(path: Path, marks: Iterable[Mark]) -> None:
     """Write the table of marks, readable by its owner only."""
     write_file(path, as_csv(marks))
     os.chmod(path, 0o600)
-
-
-def rubric_page(names: Sequence[str], points: Points) -> str:
-    """HTML: the points of each exercise and the properties that an answer must have."""
-    every = exercises()
-    chapters: dict[int, list[Any]] = {}
-    for name in names:
-        exercise = every[name]
-        about = {"name": name, "title": exercise.title, "minutes": exercise.minutes}
-        about |= {"points": f"{points.of(exercise):g}", "difficulty": DIFFICULTIES[exercise.difficulty]}
-        chapters.setdefault(exercise.chapter, []).append(about | {"properties": properties(exercise)})
-    total = sum(points.of(every[name]) for name in names)
-    titled = [{"number": n, "title": TITLES[n], "exercises": chapters[n]} for n in chapters]
-    return fill("rubric.html", chapters=titled, total=f"{total:g}")

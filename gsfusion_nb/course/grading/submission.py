@@ -1,18 +1,28 @@
-"""Submissions on disk: whose they are, and the code in them."""
+"""Submissions on disk: whose they are, the code in them, and the statements of it that a function needs."""
 
+import ast
 import re
+import symtable
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...errors import SequenceError
-from ...foreign import read_bytes, read_object
-from .sandbox_program import Cell
+from ...files import SequenceError, read_bytes, read_object
+from ..attempt import Failed
 
 _OF_CHAPTER = re.compile(r"\d\d[_.]")
-LARGEST_BYTES = 64 << 20
-"""Of a submitted file."""
+_MAGIC = re.compile(r"^(\s*)[%!?].*$", re.MULTILINE)
+_LARGEST_BYTES = 64 << 20
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A code cell, or a file."""
+
+    label: str
+    """``cell 7``: 7 counts all cells of the notebook from 1; or the name of the file."""
+    source: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,88 +43,48 @@ class Code:
 
 
 def find_submissions(paths: Sequence[Path]) -> list[Submission]:
-    """The submissions in files and folders, by student.
+    """The submissions, by student.
 
-    A file is a submission of the student whom its name says. In a folder, files belong to the student whom their
-    sub-folder names, or, without one, their own name; in nbgrader's tree that is the folder under ``submitted``. A file
-    with the name of a chapter (``02_tsdf_fusion.ipynb``) names nobody: it belongs to whom its folder names.
+    One folder is that of a class: a file in it belongs to the student whom its sub-folder names (in nbgrader's tree the
+    folder under ``submitted``), else its own name. Of several folders, each belongs to the student whom its name says.
+    A file with the name of a chapter (``02_tsdf_fusion.ipynb``) belongs to whom its folder names.
 
     Raises:
-        ValueError: there is nothing at a path, or no notebook and no .py file in it; or files of several students
-            would be taken for those of one.
+        ValueError: there is nothing at a path, or no notebook and no .py file in it.
     """
     files: dict[str, list[Path]] = {}
-    seen: dict[tuple[str, ...], Path] = {}
     for path in paths:
-        if not path.exists():
-            raise ValueError(f"there is nothing at {path}")
-        found = [path] if path.is_file() else _files_in(path)
-        if not found:
-            raise ValueError(f"there is no notebook and no .py file in {path}")
         root = path / "submitted" if (path / "submitted").is_dir() else path
+        found = [path] if path.is_file() else sorted(f for kind in ("*.ipynb", "*.py") for f in root.rglob(kind))
+        found = [file for file in found if not any(part.startswith((".", "__")) for part in file.parts)]
+        if not found:
+            raise ValueError(f"there is no notebook and no .py file at {path}")
         for file in found:
-            inner = file.relative_to(root).parts if path.is_dir() and file.is_relative_to(root) else (file.name,)
-            if len(inner) > 1 and seen.setdefault(inner, path) != path:
-                inside = "/".join(inner)
-                raise ValueError(f"{inside} is in {seen[inner]} and in {path}: name the folder that holds both of them")
-            files.setdefault(inner[0] if len(inner) > 1 else _named_by(file), []).append(file)
+            inner = file.relative_to(root).parts if path.is_dir() else ()
+            own = file.resolve().parent.name if _OF_CHAPTER.match(file.name) else file.stem
+            student = path.name if inner and len(paths) > 1 else inner[0] if len(inner) > 1 else own
+            files.setdefault(student, []).append(file)
     return [Submission(student=student, files=tuple(sorted(files[student]))) for student in sorted(files)]
-
-
-def _named_by(file: Path) -> str:
-    """Whose a file is that lies in no student's sub-folder."""
-    return file.resolve().parent.name if _OF_CHAPTER.match(file.name) else file.stem
-
-
-def _files_in(folder: Path) -> list[Path]:
-    root = folder / "submitted" if (folder / "submitted").is_dir() else folder
-    found = (p for pattern in ("*.ipynb", "*.py") for p in root.rglob(pattern))
-    return sorted(p for p in found if p.is_file() and not any(part.startswith((".", "__")) for part in p.parts))
 
 
 def read_code(file: Path) -> Code:
     """The code cells of a notebook, or a .py file as one cell; nothing is run."""
-    if file.is_symlink():
-        return Code(file=file, problem=f"{file.name} is a link to another file")
     try:
         if file.suffix == ".ipynb":
-            return Code(file=file, cells=_cells(read_object(file, "a notebook", at_most=LARGEST_BYTES)))
-        source = read_bytes(file, "a Python file", at_most=LARGEST_BYTES).decode("utf-8-sig")
+            return Code(file=file, cells=_cells(read_object(file, "a notebook", at_most=_LARGEST_BYTES)))
+        source = read_bytes(file, "a Python file", at_most=_LARGEST_BYTES).decode("utf-8-sig")
         return Code(file=file, cells=(Cell(file.name, source),))
-    except UnicodeDecodeError:
-        return Code(file=file, problem=f"{file.name} is not text in UTF-8")
     except (SequenceError, ValueError, OSError) as e:
-        return Code(file=file, problem=f"{file.name} cannot be read: {_one_line(e)}")
+        return Code(file=file, problem=f"{file.name} cannot be read: {e}")
 
 
 def _cells(notebook: dict[str, Any]) -> tuple[Cell, ...]:
-    """The code cells, numbered from 1 among all cells.
-
-    Raises:
-        ValueError: it is no notebook, or one in another language.
-    """
-    cells = notebook.get("cells")
-    if not isinstance(cells, list) or not all(isinstance(c, dict) for c in cells):
-        raise ValueError("it is not a notebook of format 4: it has no list of cells")
-    metadata = notebook.get("metadata")
-    language = _language(metadata if isinstance(metadata, dict) else {})
-    if language.lower() not in ("", "python", "python3", "ipython"):
-        raise ValueError(f"its kernel is for {language}, not for Python")
-    found = []
-    for number, cell in enumerate(cells, start=1):
-        source = cell.get("source", "")
-        text = "".join(source) if isinstance(source, list) and all(isinstance(s, str) for s in source) else source
-        if cell.get("cell_type") == "code" and isinstance(text, str):
-            found.append(Cell(f"cell {number}", text))
-    return tuple(found)
-
-
-def _language(metadata: dict[str, Any]) -> str:
-    for section, key in (("language_info", "name"), ("kernelspec", "language")):
-        part = metadata.get(section)
-        if isinstance(part, dict) and isinstance(part.get(key), str):
-            return part[key]
-    return ""
+    """The code cells, numbered from 1 among all cells."""
+    try:
+        numbered = enumerate(notebook["cells"], start=1)
+        return tuple(Cell(f"cell {n}", "".join(c["source"])) for n, c in numbered if c["cell_type"] == "code")
+    except (KeyError, TypeError):
+        raise ValueError("it is not a notebook of format 4") from None
 
 
 def defines(code: Code, name: str) -> bool:
@@ -129,6 +99,40 @@ def choose(codes: Iterable[Code], name: str, chapter: int) -> Code | None:
     return (of_chapter or having or [None])[-1]
 
 
-def _one_line(error: BaseException) -> str:
-    text = str(error).splitlines()
-    return text[0] if text else type(error).__name__
+def needed(cells: Sequence[Cell], name: str) -> list[tuple[Cell, ast.stmt]]:
+    """The top-level statements that give ``name`` its value, and those that they need, in order; with their cells.
+
+    So panels, long fits and a cell that raises do not matter. The last definition counts.
+
+    Raises:
+        Failed: it is not defined, or the cell that defines it has a syntax error.
+    """
+    statements: list[tuple[Cell, ast.stmt]] = []
+    for cell in cells:
+        try:
+            found = ast.parse(_MAGIC.sub(r"\1pass", cell.source)).body
+        except (SyntaxError, ValueError) as e:
+            if f"def {name}(" in cell.source:
+                raise Failed("it is defined", "", f"{cell.label} has a syntax error: {e}") from None
+            continue
+        statements += [(cell, node) for node in found if f"check.{name}." not in ast.unparse(node)]
+    uses = [_names(node) for _, node in statements]
+    if not any(name in binds for binds, _ in uses):
+        raise Failed("it is defined", "", f"there is no function {name}")
+    wanted, kept = {name}, set[int]()
+    while more := [i for i, (binds, _) in enumerate(uses) if binds & wanted and i not in kept]:
+        kept.update(more)
+        wanted.update(*(uses[i][1] for i in more))
+    return [statements[i] for i in sorted(kept)]
+
+
+def _names(node: ast.stmt) -> tuple[set[str], set[str]]:
+    """Global names that a statement binds, and those that it, and the functions in it, read."""
+    module = symtable.symtable(ast.unparse(node), "cell", "exec")
+    binds = {s.get_name() for s in module.get_symbols() if s.is_assigned() or s.is_imported() or s.is_namespace()}
+    reads, scopes = set[str](), [module]
+    while scopes:
+        scope = scopes.pop()
+        reads |= {s.get_name() for s in scope.get_symbols() if s.is_referenced() and s.is_global()}
+        scopes += scope.get_children()
+    return binds, reads

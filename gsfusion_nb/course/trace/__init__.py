@@ -1,9 +1,7 @@
 """Follow a pixel, a voxel or a Gaussian through everything that a mapper does to it: ``Trace(mapper)``."""
 
 from .gaussian import AdamRow as AdamRow
-from .gaussian import GaussianPast as GaussianPast
 from .gaussian import GaussianSeeded as GaussianSeeded
-from .gaussian import GaussianStates as GaussianStates
 from .gaussian import GaussianStep as GaussianStep
 from .gaussian import GaussianTrace as GaussianTrace
 from .gaussian import Marks as Marks

@@ -12,12 +12,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ...gaussians import GaussianModel, change_states
-from ...optim import adam_update, fuse_with_history
+from ...gaussians import GaussianModel
+from ...optim import adam_update
 from ...types import Camera
 from ..source_lines import source_lines
 from .identity import Birth, Event
-from .records import PastRecord, Record, SeedingRecord, StateRecord, StepRecord
+from .records import Record, SeedingRecord, StepRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,19 +110,6 @@ def box(tile: int, tile_px: int, tiles_x: int, camera: Camera) -> tuple[int, int
     return x, y, min(tile_px, camera.width - x), min(tile_px, camera.height - y)
 
 
-def copied(values: dict[str, Tensor], r: int) -> dict[str, Tensor]:
-    """Row ``r`` of each column, as a copy on the CPU."""
-    return {name: value[r].detach().cpu().clone() for name, value in values.items()}
-
-
-def pixel_index(u: int, v: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Column and row as tensors of one number."""
-    return torch.tensor([u], device=device), torch.tensor([v], device=device)
-
-
-PARAMETERS = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TilePlace:
     """Where a Gaussian is in the list of a tile, and what it does at the tile's pixels."""
@@ -182,7 +169,7 @@ class GaussianStep(Moment):
     """Colour seen from the camera."""
     tiles: tuple[TilePlace, ...]
     adam: dict[str, AdamRow]
-    """Parameter -> its step; empty if the row was not optimised. Parameters that cannot change are missing."""
+    """Parameter -> its step."""
     t: int | None
     """Step number of the bias correction; ``None``: no correction."""
 
@@ -228,7 +215,7 @@ class GaussianStep(Moment):
                 ("   m, v after", f"{numbers(parts[1])} | {numbers(parts[2])}"),
             ]
             out += [("   before → after", f"{numbers(parts[3], 6)} → {numbers(parts[4], 6)}")]
-        return out if self.adam else [*out, ("Adam", "not optimised in this step")]
+        return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -249,80 +236,6 @@ class GaussianSeeded(Moment):
         return [("number", str(self.birth.id)), ("birth", str(self.birth)), ("tag", str(self.birth.tag))]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GaussianStates(Moment):
-    """A disc of RTG-SLAM when states were managed."""
-
-    code: ClassVar = (change_states, "ready = ~stable & (model.confidence > config.stable_confidence)")
-
-    row: int
-    before: dict[str, float]
-    """state (1: stable), confidence, colour_errors, depth_errors, frames_in_view."""
-    after: dict[str, float] | None
-    """``None``: the Gaussian was removed."""
-
-    @property
-    def title(self) -> str:
-        """What happened, in a few words."""
-        return f"{super().title}, states"
-
-    def lines(self) -> list[tuple[str, str]]:
-        """Names and values, rounded for reading."""
-        gone = "removed" if self.after is None else ""
-        return [("row", str(self.row))] + [
-            (name, f"{value:g} → {gone or format(self.after[name], 'g')}")  # pyright: ignore[reportOptionalSubscript]
-            for name, value in self.before.items()
-        ]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GaussianPast(Moment):
-    """A disc of RTG-SLAM when the values of a window were fused with those before it (Eq. 9)."""
-
-    code: ClassVar = (fuse_with_history, "w = (confidence_before / confidence_after.clamp_min(1))")
-
-    confidence: tuple[int, int]
-    """eta before and after the window."""
-    before: dict[str, Tensor]
-    optimised: dict[str, Tensor]
-    fused: dict[str, Tensor]
-
-    @property
-    def title(self) -> str:
-        """What happened, in a few words."""
-        return f"{super().title}, fused with the past"
-
-    def lines(self) -> list[tuple[str, str]]:
-        """Names and values, rounded for reading."""
-        out = [("confidence", f"{self.confidence[0]} → {self.confidence[1]}")]
-        for name in ("xyz_W", "log_scale"):
-            parts = (self.before[name], self.optimised[name], self.fused[name])
-            out += [
-                (f"{name}: {k}", numbers(p, 6)) for k, p in zip(("before", "optimised", "fused"), parts, strict=True)
-            ]
-        return out
-
-
-def gaussian_moment(record: Record, i: int) -> Moment | None:
-    """What a record says about Gaussian number ``i``; ``None`` if nothing."""
-    if isinstance(record, StepRecord):
-        return _step(record, i)
-    if isinstance(record, StateRecord):
-        r = where(record.ids, i)
-        if r is None:
-            return None
-        after, now = where(record.ids_after, i), record.after
-        return GaussianStates(
-            **common(record), row=r, before={name: float(c[r]) for name, c in record.before.items()},
-            after=None if after is None else {name: float(c[after]) for name, c in now.items()},
-        )  # fmt: skip
-    if isinstance(record, PastRecord) and (r := where(record.ids, i)) is not None:
-        eta = (int(record.confidence_before[r]), int(record.confidence_after[r]))
-        parts = [copied(values, r) for values in (record.before, record.optimised, record.fused)]
-        return GaussianPast(**common(record), confidence=eta, before=parts[0], optimised=parts[1], fused=parts[2])
-    return None
-
-
 def seeded(record: SeedingRecord | None, birth: Birth) -> GaussianSeeded:
     """The moment of a birth; with the picture, if its record is still held."""
     marks = Marks(
@@ -336,7 +249,10 @@ def seeded(record: SeedingRecord | None, birth: Birth) -> GaussianSeeded:
     )  # fmt: skip
 
 
-def _step(record: StepRecord, i: int) -> GaussianStep | None:
+def gaussian_moment(record: Record, i: int) -> GaussianStep | None:
+    """What a record says about Gaussian number ``i``; ``None`` if nothing."""
+    if not isinstance(record, StepRecord):
+        return None
     r = where(record.ids, i)
     if r is None:
         return None
@@ -351,30 +267,23 @@ def _step(record: StepRecord, i: int) -> GaussianStep | None:
     )
     return GaussianStep(
         **common(record), camera=camera, image=record.rgb, marks=marks if lists else Marks(),
-        stage=record.stage, view_index=record.view_index, row=r if record.rows is None else int(record.rows[r]),
+        stage=record.stage, view_index=record.view_index, row=r,
         loss=float(record.loss), drawn=bool(lists), uv=s.uv[r].cpu().clone(), conic=s.conic[r].cpu().clone(),
         depth_m=float(s.depth_m[r]), opacity=float(s.opacity[r]), rgb=s.rgb[r].cpu().clone(), tiles=places,
-        adam=_adam(record, r), t=_t_of(record.t, r),
+        adam=_adam(record, r), t=int(record.t[r]) if isinstance(record.t, Tensor) else record.t,
     )  # fmt: skip
-
-
-def _t_of(t: int | Tensor | None, r: int) -> int | None:
-    if isinstance(t, Tensor):
-        return int(t[r]) if r < len(t) else None
-    return t
 
 
 def _adam(record: StepRecord, r: int) -> dict[str, AdamRow]:
     out = {}
     for name, column in record.adam.items():
-        if r < len(column.before):
-            c = copied(vars(column), r)
-            rate = record.rates[name]
-            out[name] = AdamRow(
-                before=c["before"], gradient=c["gradient"], m=(c["m_before"], c["m_after"]),
-                v=(c["v_before"], c["v_after"]), after=c["after"],
-                lr=rate.cpu().clone() if isinstance(rate, Tensor) else rate,
-            )  # fmt: skip
+        c = {key: value[r].detach().cpu().clone() for key, value in vars(column).items()}
+        rate = record.rates[name]
+        out[name] = AdamRow(
+            before=c["before"], gradient=c["gradient"], m=(c["m_before"], c["m_after"]),
+            v=(c["v_before"], c["v_after"]), after=c["after"],
+            lr=rate.cpu().clone() if isinstance(rate, Tensor) else rate,
+        )  # fmt: skip
     return out
 
 
@@ -416,7 +325,7 @@ class GaussianTrace:
     def __str__(self) -> str:
         now = "no longer in the map" if self.row is None else f"row {self.row} now"
         out = [f"Gaussian {self.id}, {now}", f"  born: {self.birth}"]
-        out += [f"  {event.of(self.id)}" for event in self.events]
+        out += [f"  {event}" for event in self.events]
         heads = ("step", "frame", "view", "stage", "row", "depth m", "pixels", "Σw", "|dL/dxyz|", "moved mm", "opacity")
         rows = [_row_of(step) for step in self.steps]
         if self.n_dropped:
@@ -425,10 +334,8 @@ class GaussianTrace:
 
 
 def _row_of(s: GaussianStep) -> list[str]:
-    moved, gradient, opacity = "", "", f"{s.opacity:.3f}" if s.drawn else ""
-    if "xyz_W" in s.adam:
-        a = s.adam["xyz_W"]
-        moved, gradient = f"{1e3 * float((a.after - a.before).norm()):.3f}", f"{float(a.gradient.norm()):.2e}"
+    a, opacity = s.adam["xyz_W"], f"{s.opacity:.3f}" if s.drawn else ""
+    moved, gradient = f"{1e3 * float((a.after - a.before).norm()):.3f}", f"{float(a.gradient.norm()):.2e}"
     frame = "-" if s.frame_index is None else str(s.frame_index)
     depth = f"{s.depth_m:.3f}" if s.drawn else "not drawn"
     return [str(s.serial), frame, str(s.view_index), s.stage, str(s.row), depth, str(s.n_pixels), f"{s.weight:.3f}",

@@ -57,17 +57,11 @@ class Event:
     serial: int
     frame_index: int | None
     what: str
-    """"removed", "split", "cloned", "relocated", "moved to" (another was relocated to it), "set", "states"."""
+    """"removed", "split", "cloned", "relocated", "set", ..."""
     ids: tuple[int, ...]
-    others: tuple[int, ...] = ()
-    """For "relocated": where to; for "moved to": who came."""
-    ends: bool = False
 
-    def of(self, i: int) -> str:
-        """The event of Gaussian ``i`` in words."""
-        frame = "after the scan" if self.frame_index is None else f"frame {self.frame_index}"
-        other = f" {self.others[self.ids.index(i)]}" if self.others else ""
-        return f"{frame}: {self.what}{other}"
+    def __str__(self) -> str:
+        return f"{'after the scan' if self.frame_index is None else f'frame {self.frame_index}'}: {self.what}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,48 +132,17 @@ class Identities:
         """What happened to a Gaussian besides optimisation, in order."""
         return [event for event in self.events if i in event.ids]
 
-    def mark(self) -> tuple[int, int, int]:
-        """The state, for ``go_back``."""
-        return self.count, len(self._groups), len(self.events)
-
-    def go_back(self, mark: tuple[int, int, int]) -> None:
-        """Forget what came after ``mark``."""
-        self.count = mark[0]
-        del self._groups[mark[1] :]
-        del self.events[mark[2] :]
-
-    def appended(self, n: int, cause: str, frame_index: int | None, rule: str, more: dict[str, Any]) -> None:
-        """Number the last ``n`` rows."""
-        if not n:
+    def number(self, rows: Int[Tensor, " n"], cause: str, frame_index: int | None, rule: str, **more: Tensor) -> None:
+        """Give rows that are new, or copies, numbers of their own."""
+        if not len(rows):
             return
-        start, model = len(self.model) - n, self.model
-        tag = model.tag[start:].cpu().clone()
-        group = _Group(
-            first=self.count, cause=cause, frame_index=frame_index, step=model.step_count, rule=rule, tag=tag, **more
-        )
-        self._groups.append(group)
-        model.trace_ids()[start:] = torch.arange(self.count + 1, self.count + n + 1, device=model.device)
-        self.count += n
-
-    def copied(self, copies: Int[Tensor, " C"], cause: str, frame_index: int | None, rule: str) -> None:
-        """Number rows that are copies and still have the number of the Gaussian that they are a copy of."""
-        if not len(copies):
-            return
-        ids = self.model.trace_ids()
-        parent = ids[copies].long().cpu() - 1
+        ids, tag = self.model.trace_ids(), self.model.tag[rows].cpu().clone()
+        step = self.model.step_count
         self._groups.append(
-            _Group(
-                first=self.count, cause=cause, frame_index=frame_index, step=self.model.step_count, rule=rule,
-                tag=self.model.tag[copies].cpu().clone(), parent=parent,
-            )
-        )  # fmt: skip
-        ids[copies] = torch.arange(self.count + 1, self.count + len(copies) + 1, device=ids.device).to(ids)
-        self.count += len(copies)
-
-    def ended(self, before: Int[Tensor, " N"], after: Int[Tensor, " M"], why: str, numbers: dict[str, Any]) -> None:
-        """Note the Gaussians that are in ``before`` and not in ``after``."""
-        gone = before[~torch.isin(before, after)]
-        self._note(why, gone, numbers, ends=True)
+            _Group(first=self.count, cause=cause, frame_index=frame_index, step=step, rule=rule, tag=tag, **more)
+        )
+        ids[rows] = torch.arange(self.count + 1, self.count + len(rows) + 1, device=ids.device).to(ids)
+        self.count += len(rows)
 
     def edited(
         self,
@@ -204,34 +167,24 @@ class Identities:
         copies = ((origin.cpu() < 0) & (now < count)).nonzero()[:, 0]
         halves = torch.isin(now[copies], ids[split])
         frame_index = numbers["frame_index"]
-        self.copied(copies[~halves], "clone", frame_index, rule)
-        self.copied(copies[halves], "split", frame_index, rule)
-        if edit.set:
-            changed = torch.cat([rows.cpu() for rows, _ in edit.set.values()]).unique()
-            self._note(f"{', '.join(edit.set)} set by the rule", ids[changed], numbers)
+        for rows, cause in ((copies[~halves], "clone"), (copies[halves], "split")):
+            self.number(rows, cause, frame_index, rule, parent=now[rows])
+        kept = torch.isin(ids, self.now())
+        kept[split] = True
+        happened = [("split in two", ids[split]), ("removed by the rule", ids[~kept])]
+        happened += [(f"{name} set by the rule", ids[rows.cpu()]) for name, (rows, _) in (edit.set or {}).items()]
         if edit.reset_opacity is not None:
-            self._note(f"opacity at most {edit.reset_opacity:g}", ids, numbers)
+            happened.append((f"opacity at most {edit.reset_opacity:g}", ids))
         if edit.relocate is not None:
-            moved, target = (ids[rows.cpu()] for rows in edit.relocate)
-            self._note("relocated to a copy of Gaussian", moved, numbers, others=target)
-            self._note("shares its place with Gaussian", target, numbers, others=moved)
+            happened.append(("relocated to a copy of another", ids[edit.relocate[0].cpu()]))
         if edit.clone is not None:
-            self._note("cloned", ids[edit.clone.cpu()].unique(), numbers)
-        self._note("split in two", ids[split], numbers, ends=True)
-        kept = torch.cat([self.now(), ids[split]])
-        self.ended(ids, kept, "removed by the rule", numbers)
+            happened.append(("cloned", ids[edit.clone.cpu()].unique()))
+        self.events += [Event(**numbers, what=what, ids=tuple(of.tolist())) for what, of in happened if len(of)]
 
     def close(self) -> None:
         """Forget the rows' numbers; births and events stay known."""
         self._final = self.now()
         self.model.end_trace()
-
-    def _note(
-        self, what: str, ids: Tensor, numbers: dict[str, Any], *, others: Tensor | None = None, ends: bool = False
-    ) -> None:
-        if len(ids):
-            partners = () if others is None else tuple(others.tolist())
-            self.events.append(Event(**numbers, what=what, ids=tuple(ids.tolist()), others=partners, ends=ends))
 
     def _birth_before(self, birth: Birth) -> Birth:
         row = self.row_of(birth.id)

@@ -8,12 +8,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ...constants import BLOCK_VOXELS
 from ...geometry import project, se3
 from ...render import composite
 from ...seeding import apply_rule
 from ...tsdf import tsdf_update
-from .gaussian import Marks, Moment, box, common, numbers, pixel_index, table
+from ...tsdf.block_pool import BLOCK_VOXELS
+from .gaussian import Marks, Moment, box, common, numbers, table
 from .identity import origin_of
 from .records import FusionRecord, Record, SeedingRecord, StepRecord
 
@@ -243,12 +243,6 @@ class PixelStep(Moment):
     """T_k, the light left in front of each."""
     weight: Float[Tensor, " K"]
     """w_k = alpha_k T_k."""
-    drawn: bool
-    """False: the step used only other pixels of the view (RTG-SLAM)."""
-    hit: int | None
-    """Number of the disc that the ray hits (RTG-SLAM)."""
-    hit_depth_m: float | None
-    """Depth of that disc on the ray."""
 
     @property
     def title(self) -> str:
@@ -257,13 +251,9 @@ class PixelStep(Moment):
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values, rounded for reading."""
-        if not self.drawn:
-            return [("", "this step used only other pixels of the view")]
         out = [("rendered", numbers(self.rgb)), ("photographed", numbers(self.target))]
         out += [("dL/d colour", numbers(self.v_rgb))]
         out += [("sum of weights", f"{float(self.weight.sum()):.5f}, rendered alpha {self.rendered_alpha:.5f}")]
-        if self.hit is not None:
-            out.append(("disc hit", f"Gaussian {self.hit} at {self.hit_depth_m:.4f} m"))
         for k in range(min(len(self.ids), 12)):
             words = (
                 f"z {self.depth_m[k]:.3f}  α {self.alpha[k]:.4f}  T {self.transmittance[k]:.4f}  "
@@ -319,14 +309,11 @@ def _seeded(record: SeedingRecord, u: int, v: int) -> PixelSeeded:
 def _step(record: StepRecord, u: int, v: int) -> PixelStep:
     s = record.screen
     tile = s.tile_of(u, v)
-    blend = s.blend(tile, *pixel_index(u, v, s.uv.device))
-    drawn = s.tiles.pixels is None or bool(s.tiles.pixels[v, u])
-    used = (blend.weight > 0).any(1) if drawn else torch.zeros_like(blend.gaussian, dtype=torch.bool)
+    blend = s.blend(tile, *torch.tensor([[u], [v]], device=s.uv.device))
+    used = (blend.weight > 0).any(1)
     rows = blend.gaussian[used]
     alpha, T, w = (x[used].flatten().cpu().clone() for x in (blend.alpha, blend.transmittance, blend.weight))
     target = record.target[v, u].cpu().clone()
-    hit = -1 if record.hit_index is None else int(record.hit_index[v, u])
-    depth = record.disc_depth_m
     return PixelStep(
         **common(record), camera=record.camera, image=record.rgb,
         marks=Marks(pixel=(u, v), tiles=(box(tile, s.tiles.tile_px, s.tiles.tiles_x, record.camera),)),
@@ -335,8 +322,6 @@ def _step(record: StepRecord, u: int, v: int) -> PixelStep:
         rendered_alpha=float(record.alpha[v, u]), v_rgb=record.v_rgb[v, u].cpu().clone(),
         ids=record.ids[rows.to(record.ids.device)].cpu(), depth_m=s.depth_m[rows].cpu().clone(),
         colour=s.rgb[rows].cpu().clone(), alpha=alpha, transmittance=T, weight=w,
-        drawn=drawn, hit=int(record.ids[hit]) if hit >= 0 else None,
-        hit_depth_m=float(depth[v, u]) if hit >= 0 and depth is not None else None,
     )  # fmt: skip
 
 

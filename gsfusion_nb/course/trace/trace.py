@@ -4,6 +4,7 @@ The operations that the mapper runs are turned into records, without changing th
 
 import contextlib
 import dataclasses
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -20,9 +21,7 @@ from ...types import GaussianParams
 from .gaussian import GaussianTrace, Moment, gaussian_moment, seeded
 from .identity import Identities, origin_of
 from .pixel_and_voxel import PixelTrace, Voxel, VoxelFused, VoxelTrace, pixel_moment, voxel_moment
-from .records import AdamColumn, FusionRecord, HeldRecords, PastRecord, Record, SeedingRecord, StateRecord, StepRecord
-
-STATES = ("state", "confidence", "colour_errors", "depth_errors", "frames_in_view")
+from .records import AdamColumn, FusionRecord, Record, SeedingRecord, StepRecord, memory_of
 
 Call = Callable[..., Any]
 
@@ -44,7 +43,6 @@ class Recorder:
         self._step: dict[str, Any] | None = None
         self._seeding: SeedingRecord | None = None
         self._editing = False
-        self._optimiser: Any = None
         self._last: dict[str, AdamColumn] = {}
         self._handlers = {
             "quadtree": self._quadtree,
@@ -53,16 +51,11 @@ class Recorder:
             "apply_rule": self._apply_rule,
             "GaussianModel.append": self._append,
             "apply_edit": self._apply_edit,
-            "change_states": self._change_states,
-            "fuse_with_history": self._fuse_with_history,
             "GSFusion._optimise_view": self._optimise_view,
-            "SurfelOptimiser.step": self._surfel_step,
             "render_forward": self._render_forward,
-            "disc_depth": self._disc_depth,
             "render_vjp": self._render_vjp,
             "adam_step": self._adam_step,
             "adam_update_map": self._adam_update_map,
-            "RowAdam.step": self._row_adam,
             "fuse_frame_": self._fuse_frame,
         }
 
@@ -74,7 +67,7 @@ class Recorder:
     def begin(self, frame_index: int | None) -> None:
         """A frame begins, or a step after the scan."""
         self.frame_index = frame_index
-        self._asking = self._step = self._seeding = self._optimiser = None
+        self._asking = self._step = self._seeding = None
         self._editing = False
 
     def _next(self) -> dict[str, Any]:
@@ -115,7 +108,7 @@ class Recorder:
         rule = rule_name(self.mapper.rule)
         more = origin_of(asked, seeds) if mine and asked is not None else {}
         cause = "added by the rule" if self._editing else "seed"
-        self.identities.appended(len(model) - before, cause, self.frame_index, rule, more)
+        self.identities.number(torch.arange(before, len(model)), cause, self.frame_index, rule, **more)
         return out
 
     def _apply_edit(self, f: Call, args: tuple, kwargs: dict) -> Any:
@@ -132,72 +125,25 @@ class Recorder:
         self.identities.edited(plain, ids, count, origin, self._next(), rule_name(self.mapper.rule))
         return origin
 
-    def _change_states(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        model = args[0]
-        if model is not self.identities.model:
-            return f(*args, **kwargs)
-        ids, before = self.identities.now(), {name: getattr(model, name).clone() for name in STATES}
-        out = f(*args, **kwargs)
-        after, numbers = self.identities.now(), self._next()
-        states = {name: getattr(model, name).clone() for name in STATES}
-        self._add(StateRecord(**numbers, ids=ids, before=before, ids_after=after, after=states))
-        self.identities.ended(ids, after, "removed by the management of states", numbers)
-        return out
-
-    def _fuse_with_history(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        out = f(*args, **kwargs)
-        if self._optimiser is not None and len(args) == 4 and len(args[0]) == self._optimiser.n:
-            before, optimised, eta, eta_after = args
-            self._add(
-                PastRecord(
-                    **self._next(), ids=self.identities.now()[self._optimiser.rows.cpu()],
-                    confidence_before=eta.clone(), confidence_after=eta_after.clone(), before=_copies(before),
-                    optimised=_copies(optimised), fused=_copies(out),
-                )
-            )  # fmt: skip
-        return out
-
     def _optimise_view(self, f: Call, args: tuple, kwargs: dict) -> Any:
         mapper, view = args[:2]
         if mapper is not self.mapper:
             return f(*args, **kwargs)
-        self._step = {"view_index": view.index, "target": view.colour if hasattr(view, "colour") else view.rgb_u8}
-        self._step |= {"ids": self.identities.now(), "rows": None} | self._next()
+        target = view.colour if hasattr(view, "colour") else view.rgb_u8
+        self._step = {"view_index": view.index, "target": target, "ids": self.identities.now()} | self._next()
         loss, mse = f(*args, **kwargs)
-        self._end_step(loss)
-        return loss, mse
-
-    def _surfel_step(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        optimiser, view = args[:2]
-        rows = optimiser.drawn.cpu()
-        self._optimiser = optimiser
-        ids = self.identities.now()[rows]
-        self._step = {"view_index": view.index, "target": view.rgb, "ids": ids, "rows": rows} | self._next()
-        loss = f(*args, **kwargs)
-        self._end_step(loss.total)
-        return loss
-
-    def _end_step(self, loss: Tensor) -> None:
         step, self._step = self._step, None
-        if step is None or "screen" not in step or "adam" not in step:
-            return
-        at = step.pop("view_index")
-        stage = "passes" if self.frame_index is None else "frame" if at == self.frame_index else "keyframe"
-        seen: dict[str, Any] = {"hit_index": None, "disc_depth_m": None} | step
-        self._add(StepRecord(stage=stage, view_index=at, loss=loss, **seen))
+        if "screen" in step and "adam" in step:
+            at = step.pop("view_index")
+            stage = "passes" if self.frame_index is None else "frame" if at == self.frame_index else "keyframe"
+            self._add(StepRecord(stage=stage, view_index=at, loss=loss, **step))
+        return loss, mse
 
     def _render_forward(self, f: Call, args: tuple, kwargs: dict) -> Any:
         output, saved = f(*args, **kwargs)
         if self._step is not None and "screen" not in self._step:
             self._step |= {"screen": saved.screen, "rgb": output.rgb, "alpha": output.alpha, "camera": args[1]}
-            self._step |= {"T_WC": args[2].clone(), "hit_index": output.hit_index}
         return output, saved
-
-    def _disc_depth(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        out = f(*args, **kwargs)
-        if self._step is not None:
-            self._step["disc_depth_m"] = out.depth_m
-        return out
 
     def _render_vjp(self, f: Call, args: tuple, kwargs: dict) -> Any:
         if self._step is not None and len(args) > 1:
@@ -212,7 +158,13 @@ class Recorder:
         before = [self._shared(_copies(rows), kind) for rows, kind in zip(moments, _KINDS, strict=True)]
         out = f(*args, **kwargs)
         after = [_copies(rows) for rows in moments]
-        self._set_adam(before, vars(gradients), after)
+        self._step["adam"] = self._last = {
+            name: AdamColumn(
+                before=before[0][name], gradient=gradient, m_before=before[1][name], v_before=before[2][name],
+                after=after[0][name], m_after=after[1][name], v_after=after[2][name],
+            )
+            for name, gradient in vars(gradients).items()
+        }  # fmt: skip
         return out
 
     def _adam_update_map(self, f: Call, args: tuple, kwargs: dict) -> Any:
@@ -222,34 +174,6 @@ class Recorder:
             self._step["rates"] = rates.by_column(args[0].sh)
             self._step["t"] = t.clone() if isinstance(t, Tensor) else t
         return f(*args, **kwargs)
-
-    def _row_adam(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        adam, gradients = args[:2]
-        if self._step is None:
-            return f(*args, **kwargs)
-        names, n = list(adam._rates), len(adam.params)
-
-        def now() -> list[dict[str, Tensor]]:
-            m, v = ({name: adam._moments[name][k].clone() for name in names} for k in range(2))
-            return [{name: getattr(adam.params, name).clone() for name in names}, m, v]
-
-        before = now()
-        out = f(*args, **kwargs)
-        self._set_adam(before, {name: getattr(gradients, name)[:n].clone() for name in names}, now())
-        self._last = {}
-        self._step |= {"t": adam.steps, "rates": dict(adam._rates)}
-        return out
-
-    def _set_adam(self, before: list[dict], gradients: dict[str, Tensor], after: list[dict]) -> None:
-        assert self._step is not None
-        columns = {
-            name: AdamColumn(
-                before=before[0][name], gradient=gradients[name], m_before=before[1][name], v_before=before[2][name],
-                after=after[0][name], m_after=after[1][name], v_after=after[2][name],
-            )
-            for name in before[0]
-        }  # fmt: skip
-        self._step["adam"] = self._last = columns
 
     def _shared(self, values: dict[str, Tensor], kind: str) -> dict[str, Tensor]:
         """The values, as the tensors that the last step ended with where these are equal: they are then held once."""
@@ -297,11 +221,11 @@ class Trace:
     so pick before mapping to follow something through a long run. Where a Gaussian comes from and when it left the map
     is known for all of them (about 60 bytes each).
 
-    A frame that is undone is undone in the trace, too. A trace is not saved in checkpoints; a resumed mapper needs a
-    new one.
+    What was computed for a frame that is undone stays in the trace. A trace is not saved in checkpoints; a resumed
+    mapper needs a new one.
 
     Args:
-        mapper: GSFusion, RTG-SLAM, or another mapper. What a trace does not know of it, it does not record.
+        mapper: Of other systems than GSFusion, frames that are fused and seeds are recorded, and no steps.
         memory_bytes: Limit; the last operation is held even if it alone takes more.
 
     Raises:
@@ -314,8 +238,10 @@ class Trace:
             raise ValueError("this mapper is traced already; close the other trace first")
         self.mapper = mapper
         self.identities = Identities(mapper.gaussians)
-        self._held = HeldRecords(memory_bytes, self._leaves)
-        self._recorder = Recorder(mapper, self.identities, self._held.add)
+        self.n_dropped = 0
+        """Operations that are no longer held."""
+        self._limit_bytes, self._held = memory_bytes, deque[Record]()
+        self._recorder = Recorder(mapper, self.identities, self._hold)
         self._picks: dict[Pick, list[Moment]] = {}
         self._usual = mapper.watch
         mapper.watch = self._watch
@@ -329,12 +255,7 @@ class Trace:
     @property
     def memory_bytes(self) -> int:
         """Memory of the operations that are held, bytes."""
-        return self._held.memory_bytes
-
-    @property
-    def n_dropped(self) -> int:
-        """Operations that are no longer held."""
-        return self._held.n_dropped
+        return memory_of(self._held)
 
     def gaussian(self, row: int | None = None, *, id: int | None = None) -> GaussianTrace:
         """The Gaussian in a row of the map as it is now, or the one with a number (also one that has left the map).
@@ -388,10 +309,15 @@ class Trace:
         found = [moment for record in self._held if (moment := _moment(record, pick)) is not None]
         return [*kept, *found]
 
-    def _leaves(self, record: Record) -> None:
-        for pick, kept in self._picks.items():
-            if (moment := _moment(record, pick)) is not None:
-                kept.append(moment.without_image())
+    def _hold(self, record: Record) -> None:
+        """Hold a record; of the oldest ones, if they are too large, only what concerns what was picked."""
+        self._held.append(record)
+        while len(self._held) > 1 and self.memory_bytes > self._limit_bytes:
+            oldest = self._held.popleft()
+            self.n_dropped += 1
+            for pick, kept in self._picks.items():
+                if (moment := _moment(oldest, pick)) is not None:
+                    kept.append(moment.without_image())
 
     def _seeding_of(self, frame_index: int | None) -> SeedingRecord | None:
         held = (r for r in self._held if isinstance(r, SeedingRecord) and r.frame_index == frame_index)
@@ -399,19 +325,9 @@ class Trace:
 
     @contextlib.contextmanager
     def _watch(self, frame_index: int | None) -> Iterator[None]:
-        serial, mark = self._recorder.serial, self.identities.mark()
         self._recorder.begin(frame_index)
-        try:
-            with self._usual(frame_index), observing(self._recorder):
-                yield
-        except BaseException:
-            if not self.mapper.guard.half_mapped:
-                self._held.cut(serial)
-                self._recorder.serial = serial
-                self.identities.go_back(mark)
-                for kept in self._picks.values():
-                    kept[:] = [moment for moment in kept if moment.serial < serial]
-            raise
+        with self._usual(frame_index), observing(self._recorder):
+            yield
 
 
 @contextlib.contextmanager

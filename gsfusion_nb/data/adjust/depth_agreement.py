@@ -1,7 +1,5 @@
-"""How well the depth of one frame predicts that of another, and a quick test of a recording by it.
-
-Points of one depth image are moved into another under one or many relative poses. ``check_sequence`` does so for a few
-pairs of frames under the usual mistakes; ``gsfusion-nb check`` tests more.
+"""How well the depth of one frame predicts that of another: points of one depth image are moved into another under one
+or many relative poses.
 """
 
 from dataclasses import dataclass, replace
@@ -21,31 +19,6 @@ AGREES = 0.03
 
 _MIN_ANGLE_RAD = 0.12
 
-AS_READ = "as read"
-USUAL_INTERPRETATIONS = {
-    AS_READ: RepairConfig(),
-    "inverted poses (they are world-to-camera)": RepairConfig(poses="world_to_camera"),
-    "OpenGL axes (y up, z backward)": RepairConfig(axes="opengl"),
-    "a depth scale that was 1000 instead of 5000": RepairConfig(depth_factor=0.2),
-    "a depth scale that was 5000 instead of 1000": RepairConfig(depth_factor=5.0),
-    "a depth scale that was 1000 instead of 6553.5": RepairConfig(depth_factor=0.1526),
-}
-"""The most frequent mistakes, and what repairs them."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DepthPair:
-    """Points of a frame ``a`` and the depth image of a frame ``b`` of the same world."""
-
-    xyz_a: Float[Tensor, "N 3"]
-    """Valid points of ``a``, in its camera's frame, metres."""
-    depth_b: Float[Tensor, "H W"]
-    """z-depth, metres, 0 = missing."""
-    camera: Camera
-    """Camera of ``depth_b``."""
-    frames: tuple[int, int] = (0, 1)
-    """Their positions in the sequence."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthConsistency:
@@ -61,43 +34,40 @@ class DepthConsistency:
     """Mean of max(0, 1 - difference / 3 per cent) over all points: 1 for exact agreement everywhere."""
 
 
-def depth_pair(
-    depth_a: Float[Tensor, "H W"],
-    depth_b: Float[Tensor, "H W"],
-    camera: Camera,
-    *,
-    step: int = 4,
-    frames: tuple[int, int] = (0, 1),
-) -> DepthPair:
-    """The pair of every ``step``-th pixel of ``depth_a`` in both directions and all of ``depth_b``."""
-    points = depth_to_points(camera, depth_a)[step // 2 :: step, step // 2 :: step].reshape(-1, 3)
-    return DepthPair(xyz_a=points[points[:, 2] > 0], depth_b=depth_b, camera=camera, frames=frames)
+def sparse_points(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> Float[Tensor, "N 3"]:
+    """Points of every ``step``-th pixel in both directions that has depth, in the camera's frame, metres."""
+    points = depth_to_points(camera, depth_m)[step // 2 :: step, step // 2 :: step].reshape(-1, 3)
+    return points[points[:, 2] > 0]
 
 
-def depth_consistency(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"]) -> DepthConsistency:
+def depth_consistency(
+    xyz_a: Float[Tensor, "N 3"], depth_b: Float[Tensor, "H W"], camera: Camera, T_ba: Float[Tensor, "K 4 4"]
+) -> DepthConsistency:
     """Move the points of ``a`` into ``b`` under each pose and compare with the depth of the pixel they fall on.
 
     Args:
-        pair: Points and depth.
+        xyz_a: Points in the frame of camera ``a``, metres (``sparse_points``). [N, 3]
+        depth_b: z-depth of ``b``, metres, 0 = missing. [H, W]
+        camera: Of ``depth_b``.
         T_ba: Transforms from camera ``a`` to camera ``b``. [K, 4, 4]
     """
-    T = T_ba.to(pair.xyz_a.dtype)
-    P = pair.xyz_a @ T[:, :3, :3].transpose(1, 2) + T[:, None, :3, 3]
+    T = T_ba.to(xyz_a.dtype)
+    P = xyz_a @ T[:, :3, :3].transpose(1, 2) + T[:, None, :3, 3]
     z = P[..., 2]
     front = z > 1e-6
-    uv = project(pair.camera, torch.where(front[..., None], P, torch.ones_like(P)))
+    uv = project(camera, torch.where(front[..., None], P, torch.ones_like(P)))
     u, v = uv[..., 0].floor(), uv[..., 1].floor()
-    inside = front & (u >= 0) & (u < pair.camera.width) & (v >= 0) & (v < pair.camera.height)
-    measured = pair.depth_b[v.where(inside, 0.0).long(), u.where(inside, 0.0).long()]
+    inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    measured = depth_b[v.where(inside, 0.0).long(), u.where(inside, 0.0).long()]
     seen = inside & (measured > 0)
     error = (z - measured).abs()
     unit = (error / (AGREES * measured.clamp_min(1e-9))).where(seen, torch.inf)
-    total = max(pair.xyz_a.shape[0], 1)
+    total = max(xyz_a.shape[0], 1)
     return DepthConsistency(
         agreeing=(unit < 1).sum(-1) / total,
         overlap=seen.sum(-1) / total,
         median_m=error.where(seen, torch.nan).nanmedian(dim=-1).values
-        if len(pair.xyz_a)
+        if len(xyz_a)
         else torch.full((len(T),), torch.nan),
         score=(1 - unit).clamp_min(0).sum(-1) / total,
     )
@@ -129,36 +99,6 @@ class DepthAgreement:
     """Share of the first frame's points that also agree with it within 3 per cent."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SequenceCheck:
-    """The interpretation of poses and depth scale under which neighbouring frames agree best."""
-
-    agreeing: dict[str, float]
-    """Share of agreeing points for each interpretation; "as read" is the sequence as it is."""
-
-    @property
-    def best(self) -> str:
-        """The interpretation under which most points agree."""
-        return max(self.agreeing, key=self.agreeing.__getitem__)
-
-    @property
-    def ok(self) -> bool:
-        """Whether a third of the points agree as read, and no other interpretation is clearly better."""
-        as_read = self.agreeing[AS_READ]
-        return as_read > 1 / 3 and self.agreeing[self.best] < as_read + 0.1
-
-    def __str__(self) -> str:
-        share = f"{self.agreeing[AS_READ]:.0%} of the points of a frame agree with a later frame"
-        if self.ok:
-            return f"consistent: {share}"
-        if self.best == AS_READ:
-            return f"doubtful: only {share}, and no usual mistake explains it; gsfusion-nb check tries more"
-        return (
-            f"inconsistent: only {share}, but {self.agreeing[self.best]:.0%} do with {self.best}: "
-            f"{USUAL_INTERPRETATIONS[self.best].flags}; gsfusion-nb check finds more"
-        )
-
-
 def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
     """Move the points of frame ``a`` into frame ``b`` and compare with the depth measured there.
 
@@ -167,36 +107,30 @@ def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
         step: Every step-th pixel of ``a`` in both directions is used.
     """
     T_ba = relative_poses(a.T_WC.double()[None], b.T_WC.double()[None])
-    found = depth_consistency(depth_pair(a.depth_m, b.depth_m, b.camera, step=step), T_ba)
+    found = depth_consistency(sparse_points(b.camera, a.depth_m, step), b.depth_m, b.camera, T_ba)
     return DepthAgreement(median_m=float(found.median_m), overlap=float(found.overlap), agreeing=float(found.agreeing))
 
 
-def check_sequence(sequence: Sequence, *, pairs: int = 4) -> SequenceCheck:
-    """Try the usual mistakes on a few pairs of frames: inverted poses, OpenGL axes, a wrong depth scale.
+def agreeing_share(sequence: Sequence, *, pairs: int = 4) -> float:
+    """Mean share of a frame's points that agree with a later frame, over a few pairs spread over the sequence.
 
-    Args:
-        sequence: Any sequence with some motion.
-        pairs: Number of pairs, spread over the sequence.
+    Inverted poses, another convention of axes or a wrong depth scale leave less than a third.
 
     Raises:
         SequenceError: no two usable frames.
     """
-    scores = []
+    shares = []
     for k in range(pairs):
         first = k * len(sequence) // (pairs + 1)
         try:
             a, b = sequence[first], sequence[_partner(sequence, first)]
         except BadFrameError:
             continue
-        if a.index == b.index:
-            continue
-        stored = torch.stack([a.T_WC, b.T_WC]).double()
-        T_ba = torch.cat([relative_under(stored[:1], stored[1:], r) for r in USUAL_INTERPRETATIONS.values()])
-        scores.append(depth_consistency(depth_pair(a.depth_m, b.depth_m, b.camera), T_ba).agreeing)
-    if not scores:
+        if a.index != b.index:
+            shares.append(depth_agreement(a, b).agreeing)
+    if not shares:
         raise SequenceError(f"{sequence.name} has no two usable frames; expected at least two to compare")
-    mean = torch.stack(scores).mean(0).tolist()
-    return SequenceCheck(agreeing=dict(zip(USUAL_INTERPRETATIONS, mean, strict=True)))
+    return sum(shares) / len(shares)
 
 
 def relative_under(T_a: torch.Tensor, T_b: torch.Tensor, interpretation: RepairConfig) -> torch.Tensor:

@@ -15,18 +15,18 @@ def resize_frame(frame: Frame, camera: Camera) -> Frame:
 
     Colour is averaged over the area that a new pixel covers (interpolated linearly when enlarging). Depth is taken from
     the nearest source pixel and never interpolated, because a mean across a depth edge is a point on neither surface.
-    An 8-bit image stays 8-bit, with rounding. Of ``frame.extra``, floats are averaged as colour is; whole numbers and
-    True/False (labels) come from the nearest source pixel, as depth does.
+    An 8-bit image stays 8-bit, with rounding. ``frame.extra`` comes from the nearest source pixel, as depth does.
 
     Differentiable: no.
     """
     if (camera.width, camera.height) == (frame.camera.width, frame.camera.height):
         return dataclasses.replace(frame, camera=camera)
+    rgb = resize_colour(frame.colour.cpu().numpy(), camera.width, camera.height)
     return dataclasses.replace(
         frame,
-        rgb=_resize_rgb(frame.colour, camera.width, camera.height),
+        rgb=torch.from_numpy(rgb).to(frame.colour.device),
         depth_m=_resize_nearest(frame.depth_m, camera.width, camera.height),
-        extra={name: _resize_extra(image, camera.width, camera.height) for name, image in frame.extra.items()},
+        extra={name: _resize_nearest(image, camera.width, camera.height) for name, image in frame.extra.items()},
         camera=camera,
     )
 
@@ -51,20 +51,7 @@ def resize_colour(rgb: np.ndarray, width: int, height: int) -> np.ndarray:
     return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
 
 
-def _resize_rgb(rgb: Shaped[Tensor, "H W 3"], width: int, height: int) -> Shaped[Tensor, "h w 3"]:
-    return torch.from_numpy(resize_colour(rgb.cpu().numpy(), width, height)).to(rgb.device)
-
-
 def _resize_nearest(image: Shaped[Tensor, "H W *C"], width: int, height: int) -> Shaped[Tensor, "h w *C"]:
     rows = nearest_source(height, image.shape[0]).to(image.device)
     columns = nearest_source(width, image.shape[1]).to(image.device)
     return image[rows][:, columns]
-
-
-def _resize_extra(image: Shaped[Tensor, "H W *C"], width: int, height: int) -> Shaped[Tensor, "h w *C"]:
-    if not image.is_floating_point():
-        return _resize_nearest(image, width, height)
-    flat = image.cpu().float().flatten(2) if image.ndim > 2 else image.cpu().float()[..., None]
-    planes = [resize_colour(plane.contiguous().numpy(), width, height) for plane in flat.unbind(2)]
-    resized = torch.stack([torch.from_numpy(plane) for plane in planes], dim=2)
-    return resized.reshape(height, width, *image.shape[2:]).to(image)

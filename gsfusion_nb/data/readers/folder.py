@@ -16,19 +16,17 @@ Keys of ``intrinsics.json``: those seven, and optionally
 | ``pixel_centre`` | 0.0 | place of the first pixel's centre: 0.0 as in OpenCV, Open3D, ROS; 0.5 as in COLMAP |
 | ``depth_invalid`` | 0 | a stored depth that means "missing", besides 0 |
 | ``fps`` | 30 | frames per second, for the time stamps where there is no times.txt |
-| ``first_image`` | none | number in the name of the first pose's image; poses then belong to images by number |
 | ``pose_convention`` | "camera-to-world" | must begin with that; any comment may follow |
 
 Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images sort naturally (2 before 10). Where
-lines of poses.txt begin with names, or with ``first_image``, an image may be missing; else there are as many poses as
-images.
+lines of poses.txt begin with names, an image may be missing; else there are as many poses as images.
 """
 
 from pathlib import Path
 from typing import Any
 
-from ...errors import shown
-from ...foreign import read_object
+from ...checks import shown
+from ...files import read_object
 from ..recorded.files import camera, given_name, images_in, number, numbers, pair_by_stem, require
 from ..recorded.poses import no_poses, poses_of_images
 from ..recorded.recorded_sequence import Layout, RecordedSequence
@@ -36,9 +34,9 @@ from ..recorded.times import TIMES, times_of_images
 from ..sequence import SequenceError
 
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
-CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
-_REQUIRED = (*CAMERA_KEYS, "depth_scale")
-_OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "first_image", "pose_convention")
+_CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
+_REQUIRED = (*_CAMERA_KEYS, "depth_scale")
+_OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "pose_convention")
 
 
 def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
@@ -62,11 +60,11 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     rgb_files = images_in(root / "rgb")
     depth_files = pair_by_stem(rgb_files, images_in(root / "depth", (".png", ".tif", ".tiff", ".pgm")))
     poses_file = root / "poses.txt"
-    T_WC = poses_of_images(poses_file, rgb_files, values.get("first_image")) if poses else no_poses(len(rgb_files))
+    T_WC = poses_of_images(poses_file, rgb_files) if poses else no_poses(len(rgb_files))
     times, no_times = times_of_images(root / TIMES, rgb_files)
-    return RecordedSequence(
-        name=given_name(root),
-        camera=camera(values, CAMERA_KEYS, root / "intrinsics.json", shift=0.5 - values.get("pixel_centre", 0.0)),
+    return recording_of(
+        root,
+        values,
         rgb_files=rgb_files,
         depth_files=depth_files,
         timestamps_s=times or [i / values.get("fps", 30.0) for i in range(len(rgb_files))],
@@ -74,8 +72,18 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
         poses=T_WC,
         pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],
         has_poses=poses,
+    )
+
+
+def recording_of(root: Path, values: dict[str, Any], **frames: Any) -> RecordedSequence:
+    """A recording with the camera and the depth scale of ``values``, the content of ``intrinsics.json``."""
+    shift = 0.5 - values.get("pixel_centre", 0.0)
+    return RecordedSequence(
+        name=given_name(root),
+        camera=camera(values, _CAMERA_KEYS, root / "intrinsics.json", shift=shift),
         depth_scale=float(values["depth_scale"]),
         depth_invalid=(int(values.get("depth_invalid", 0)),),
+        **frames,
     )
 
 
@@ -94,9 +102,6 @@ def read_intrinsics(path: Path) -> dict[str, Any]:
     invalid = values.get("depth_invalid", 0)
     if isinstance(invalid, bool) or not isinstance(invalid, int) or not 0 <= invalid <= 65535:
         raise SequenceError(f"{path}: depth_invalid must be an integer between 0 and 65535, got {shown(invalid)}")
-    first = values.get("first_image", 0)
-    if isinstance(first, bool) or not isinstance(first, int) or first < 0:
-        raise SequenceError(f"{path}: first_image must be a whole number from 0 on, got {shown(first)}")
     convention = values.get("pose_convention", "camera-to-world")
     if not str(convention).startswith("camera-to-world"):
         raise SequenceError(

@@ -9,7 +9,7 @@ cam_params.json                                      beside traj.txt or in the f
 import re
 from pathlib import Path
 
-from ...foreign import read_object
+from ...files import read_object
 from ...types import Camera
 from ..recorded.files import camera, given_name, images_in, numbers, require
 from ..recorded.poses import read_pose_lines
@@ -37,49 +37,31 @@ def replica(path: str | Path) -> RecordedSequence:
 
     Raises:
         SequenceNotFoundError: the folder or one of its parts is missing.
-        SequenceError: no frames, a frame without depth, or fewer poses than frames.
+        SequenceError: no frames, or fewer poses than frames.
     """
     root = Path(path)
     require(root, LOOKS_FOR, "replica")
-    frames = _numbered(root / "results", "frame")
-    depths = _numbered(root / "results", "depth")
-    alone = sorted(set(frames) ^ set(depths))
-    if alone:
-        raise SequenceError(
-            f"{root / 'results'}: image {alone[0]:06d} must have both a frame and a depth file, got only one"
-        )
+    frames = [p for p in images_in(root / "results") if re.fullmatch(r"frame\d+", p.stem)]
+    order = [int(p.stem.removeprefix("frame")) for p in frames]
+    if not frames:
+        raise SequenceError(f"{root / 'results'} holds no images frame000000 and so on; expected those of a scene")
     poses_file = root / "traj.txt"
     poses = read_pose_lines(poses_file)
-    order = sorted(frames)
     if order[-1] >= len(poses):
         raise SequenceError(
-            f"{poses_file} holds {len(poses)} poses; expected at least {order[-1] + 1}, up to {frames[order[-1]]}"
+            f"{poses_file} holds {len(poses)} poses; expected at least {order[-1] + 1}, up to {frames[-1]}"
         )
     scene_camera, depth_scale = _calibration(root)
     return RecordedSequence(
         name=given_name(root),
         camera=scene_camera,
-        rgb_files=[frames[n] for n in order],
-        depth_files=[depths[n] for n in order],
+        rgb_files=frames,
+        depth_files=[p.with_name(p.stem.replace("frame", "depth") + ".png") for p in frames],
         timestamps_s=[n / 30.0 for n in order],
         poses=poses[order],
         pose_sources=[f"{poses_file} pose {n}" for n in order],
         depth_scale=depth_scale,
     )
-
-
-def _numbered(folder: Path, prefix: str) -> dict[int, Path]:
-    """Images of ``folder`` whose name is ``prefix`` and a number, by number."""
-    found = {}
-    for p in images_in(folder):
-        match = re.fullmatch(prefix + r"(\d+)", p.stem)
-        if match:
-            found[int(match[1])] = p
-    if not found:
-        raise SequenceError(
-            f"{folder} holds no images {prefix}000000 and so on; expected the frames of a Replica scene"
-        )
-    return found
 
 
 def _calibration(root: Path) -> tuple[Camera, float]:

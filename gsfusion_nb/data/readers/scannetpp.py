@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...foreign import read_object
+from ...files import read_object
 from ...types import Camera
 from ..recorded.files import camera, require, table
 from ..recorded.poses import GL_TO_CV
@@ -106,9 +106,6 @@ def _names(path: Path, split: str) -> tuple[list[str], int]:
     for key in wanted:
         if not isinstance(lists.get(key), list) or not all(isinstance(n, str) for n in lists[key]):
             raise SequenceError(f"{path} must hold the key {key}, a list of image names")
-        if len({*lists[key]}) != len(lists[key]):
-            twice = next(n for i, n in enumerate(lists[key]) if n in lists[key][:i])
-            raise SequenceError(f"{path}: {key} lists the image {twice} twice")
     names = [name for key in wanted for name in lists[key]]
     if not names or (split == "all" and not lists["train"]):
         raise SequenceError(f"{path} lists no images for {wanted[0]}; expected at least one")
@@ -120,10 +117,7 @@ def frame_matrices(values: dict[str, Any], path: Path) -> dict[str, Float[Tensor
     if not isinstance(values.get("frames"), list):
         raise SequenceError(f"{path} lacks frames; expected a list of objects with file_path and transform_matrix")
     found = {}
-    more = values.get("test_frames", [])
-    if not isinstance(more, list):
-        raise SequenceError(f"{path}: test_frames must be a list of objects with file_path and transform_matrix")
-    for entry in [*values["frames"], *more]:
+    for entry in [*values["frames"], *values.get("test_frames", [])]:
         try:
             name, rows = Path(entry["file_path"]).name, entry["transform_matrix"]
         except (KeyError, TypeError) as e:
@@ -145,4 +139,4 @@ def _camera(values: dict[str, Any], path: Path) -> Camera:
     return camera(values, ("w", "h", "fl_x", "fl_y", "cx", "cy"), path, shift=0.0)
 
 
-LAYOUT = Layout(read=scannetpp, looks_for=LOOKS_FOR, locate=scene_folder, has_splits=True)
+LAYOUT = Layout(read=scannetpp, looks_for=LOOKS_FOR, locate=scene_folder)

@@ -10,7 +10,6 @@ Colour comes from another camera about 2 cm to the side with another focal lengt
 
 import logging
 import math
-import re
 from pathlib import Path
 
 import torch
@@ -20,7 +19,7 @@ from ..lens import CameraModel, Registration
 from ..recorded.files import given_name, require
 from ..recorded.poses import read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..sequence import SequenceError, SequenceNotFoundError
+from ..sequence import SequenceError
 
 log = logging.getLogger(__name__)
 
@@ -66,22 +65,16 @@ def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequenc
             same Kinect.
 
     Raises:
-        SequenceNotFoundError: the folder or a frame's file is missing.
+        SequenceNotFoundError: the folder or a frame's pose is missing.
         SequenceError: no frames, several sequences, or a pose file that does not hold 16 numbers.
     """
     root = _only_sequence(Path(path))
     require(root, LOOKS_FOR, "seven_scenes")
-    colour = _numbered(root, "color")
-    order = sorted(colour)
-    files = {kind: _numbered(root, kind) for kind in ("depth", "pose")}
-    for kind, found in files.items():
-        lacking = [n for n in order if n not in found]
-        if lacking:
-            name = f"frame-{lacking[0]:06d}.{kind}.{'txt' if kind == 'pose' else 'png'}"
-            raise SequenceNotFoundError(f"{root / name} does not exist; expected one for {colour[lacking[0]].name}")
-    pose_files = [files["pose"][n] for n in order]
+    colour = sorted(root.glob("frame-*.color.*"))
+    stems = [path.name.partition(".")[0] for path in colour]
+    pose_files = [root / f"{stem}.pose.txt" for stem in stems]
     poses = torch.stack([_read_pose(p) for p in pose_files])
-    registration = Registration.of(DEPTH_CAMERA, COLOUR_LENS, T_DEPTH_COLOUR) if register else None
+    registration = Registration(DEPTH_CAMERA, COLOUR_LENS, T_DEPTH_COLOUR) if register else None
     if registration is None:
         log.warning(
             "%s: colour is not registered to depth in 7-Scenes (10 to 20 pixels off); --reader register=true aligns it",
@@ -90,9 +83,9 @@ def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequenc
     return RecordedSequence(
         name=given_name(root),
         camera=DEPTH_CAMERA if registration is None else registration.colour.camera,
-        rgb_files=[colour[n] for n in order],
-        depth_files=[files["depth"][n] for n in order],
-        timestamps_s=[n / 30.0 for n in order],
+        rgb_files=colour,
+        depth_files=[root / f"{stem}.depth.png" for stem in stems],
+        timestamps_s=[int(stem.removeprefix("frame-")) / 30.0 for stem in stems],
         poses=poses if registration is None else poses @ T_DEPTH_COLOUR,
         pose_sources=[str(p) for p in pose_files],
         depth_scale=DEPTH_SCALE,
@@ -111,15 +104,6 @@ def _only_sequence(path: Path) -> Path:
     if len(sequences) > 1:
         raise SequenceError(f"{path} holds several sequences; expected one of {', '.join(sequences)}")
     return first_sequence(path)
-
-
-def _numbered(root: Path, kind: str) -> dict[int, Path]:
-    found = {}
-    for p in root.glob(f"frame-*.{kind}.*"):
-        match = re.match(r"frame-(\d+)\.", p.name)
-        if match:
-            found[int(match[1])] = p
-    return found
 
 
 def _read_pose(path: Path) -> torch.Tensor:

@@ -7,17 +7,16 @@ rgbd_dataset_freiburg1_desk/
 """
 
 import logging
-from collections import Counter
 from pathlib import Path
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...errors import shown
+from ...checks import shown
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
-from ..recorded.files import given_name, natural_order, own_names, require
+from ..recorded.files import given_name, natural_order, require
 from ..recorded.poses import interpolate_rows, matrices, no_poses, read_stamped_poses
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import associate, judge_stamps, read_image_list
@@ -96,7 +95,6 @@ def tum(
         rgb_files=[rgb_files[c] for _, _, c, _ in posed],
         depth_files=[depth_files[d] for _, d, _, _ in posed],
         timestamps_s=[t for t, *_ in posed],
-        stamps_apart_s=sum(abs(t - rgb_s[c]) for t, _, c, _ in posed) / len(posed),
         poses=T_WC,
         has_poses=poses,
         pose_sources=[f"{root / 'groundtruth.txt'} at {t:.6f} s" for t, *_ in posed],
@@ -123,16 +121,13 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
 
 def benchmark_camera(folder: Path) -> str:
     """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name counts. Empty if none."""
-    names = own_names(folder)
+    names = (given_name(folder), folder.resolve().name)
     return next((n for f in names for n in LENSES if n in f or n.replace("freiburg", "fr") in f), "")
 
 
 def _stream(path: Path) -> tuple[list[float], list[Path]]:
     """Times and files of a list with lines "timestamp filename"."""
     stamps, files = read_image_list(path)
-    if len(set(stamps)) != len(stamps):
-        twice = next(t for t, n in Counter(stamps).items() if n > 1)
-        log.warning("%s lists the time %.6f s more than once; each image is used at most once", path, twice)
     judged = judge_stamps(stamps, names=[natural_order(f) for f in files], unit="s")
     if judged.times_s is None:
         raise SequenceError(

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...errors import shown
+from ...checks import shown
 from ...types import Camera
 from ..sequence import SequenceError, SequenceNotFoundError
 
@@ -18,11 +18,6 @@ from ..sequence import SequenceError, SequenceNotFoundError
 def given_name(folder: Path) -> str:
     """Name of a folder as it was given: of a symbolic link its own, not that of the folder it leads to."""
     return os.path.basename(os.path.abspath(folder))
-
-
-def own_names(folder: Path) -> list[str]:
-    """The names by which a folder may be recognised: as it was given and, of a link, that of the folder it leads to."""
-    return [name for name in dict.fromkeys((given_name(folder), folder.resolve().name)) if name]
 
 
 def require(root: Path, names: tuple[str, ...], layout: str, *, without_poses: str = "") -> None:

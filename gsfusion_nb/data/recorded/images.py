@@ -2,25 +2,16 @@
 
 OpenCV is imported on first use."""
 
-import functools
 import io
-import logging
-import re
-import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ...foreign import IMAGE_BYTES, open_regular, parsing, read_bytes
+from ...files import IMAGE_BYTES, parsing, read_bytes
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
-
-log = logging.getLogger(__name__)
 
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
-_EXR_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
-"""Left, top, right and bottom pixel of a part of an OpenEXR file, all inside ("OpenEXR File Layout")."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -34,19 +25,7 @@ def read_rgb(path: Path) -> np.ndarray:
     Raises:
         BadFrameError: the file is missing, truncated or not an image.
     """
-    data = read_image_bytes(path, "colour")
-    if is_to_be_turned(data):
-        _tell_of_turned(path.parent)
-    return decode_rgb(data, path)
-
-
-@functools.cache
-def _tell_of_turned(folder: Path) -> None:
-    """Say once for a folder what is done with images that viewers show turned."""
-    log.warning(
-        "%s: images say (EXIF orientation) that they are to be shown turned; they are used as stored, as depth images "
-        "and intrinsics are. If those belong to the turned images, turn the files first", folder
-    )  # fmt: skip
+    return decode_rgb(read_image_bytes(path, "colour"), path)
 
 
 def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:
@@ -106,14 +85,17 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
     """Pixels of an encoded image, as ``cv2.imdecode`` returns them. Raises ``BadFrameError`` naming ``source``."""
     import cv2
 
-    if _jpeg_is_cut(data):
+    if _is_cut(data):
+        raise BadFrameError(f"{source} is truncated; expected a whole {kind} image, but its end mark is missing")
+    size = image_size(data)
+    if size is None or size[0] * size[1] > MAX_PIXELS:
         raise BadFrameError(
-            f"{source} is truncated; expected a whole {kind} image, but its end-of-image mark is missing"
+            f"{source} cannot be decoded: it is truncated, damaged or not an image, or claims far too many pixels; "
+            f"expected a {kind} image of at most 40 million, as PNG, JPEG, TIFF, PNM or BMP"
         )
-    check_image_size(data, source, kind)
     try:
         with parsing(source, f"a {kind} image", BadFrameError):
-            image = None if png_is_cut(data) else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except BadFrameError:
         image = None
     if image is None:
@@ -123,91 +105,31 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
     return image
 
 
-def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
-    """Raise ``BadFrameError`` before an image is decoded that is of no known kind or claims too many pixels."""
-    size = image_size(data)
-    if size is None:
-        raise BadFrameError(
-            f"{source} cannot be decoded: it is truncated, damaged or not an image, or claims far too many pixels; "
-            f"expected a {kind} image, as PNG, JPEG, TIFF, PNM or BMP"
-        )
-    width, height = size
-    if width * height > MAX_PIXELS:
-        raise BadFrameError(f"{source} claims {width}x{height} pixels; expected a {kind} image of at most 40 million")
+def _is_cut(data: bytes) -> bool:
+    """A PNG or JPEG without the mark that ends it: decoders fill the missing part with grey or black and do not fail.
 
-
-def _jpeg_is_cut(data: bytes) -> bool:
-    """A JPEG whose last scan has no end mark: some OpenCV versions fill the rest with grey instead of failing.
-
-    Entropy-coded data never contain FF D9, but an embedded thumbnail does, so the positions are compared.
+    Entropy-coded data of a JPEG never contain FF D9, but an embedded thumbnail does, so the mark must come after the
+    last scan (PNG, W3C 2003, 11.2.5; JPEG, ITU-T T.81, B.1.1.3).
     """
-    return data[:2] == b"\xff\xd8" and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")
-
-
-_END_MARKS = {b"\x89PNG\r\n\x1a\n": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
-"""First bytes of PNG and JPEG files, and the mark that ends them (PNG, W3C 2003, 11.2.5; JPEG, ITU-T T.81, B.1.1.3)."""
-
-_TAIL_BYTES = 64
-"""Some programs write a few bytes after the mark."""
+    if data[:2] == b"\xff\xd8":
+        return data.rfind(b"\xff\xd9") <= data.rfind(b"\xff\xda")
+    return data[:8] == b"\x89PNG\r\n\x1a\n" and b"IEND\xaeB`\x82" not in data
 
 
 def is_complete_image(path: Path) -> bool:
-    """False for a missing or empty file, and for a PNG or JPEG without its end mark.
-
-    Decoders fill the missing part of such a file with grey or black instead of failing. For other formats only the
-    beginning is checked.
-    """
+    """False for a missing or empty file, and for a PNG or JPEG without its end mark."""
     try:
-        with open_regular(path, "an image") as file:
-            head = file.read(8)
-            size = file.seek(0, 2)
-            file.seek(max(0, size - _TAIL_BYTES))
-            tail = file.read()
-    except (OSError, SequenceError):
+        data = read_image_bytes(path, "whole")
+    except BadFrameError:
         return False
-    for first, last in _END_MARKS.items():
-        if head.startswith(first):
-            return last in tail
-    return len(head) == 8
+    return len(data) >= 8 and not _is_cut(data)
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP or OpenEXR file claims; None for other data."""
-    if data[:4] == b"v/1\x01":
-        windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(data[: 1 << 20])]
-        sizes = [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
-        return max(sizes, key=lambda size: size[0] * size[1], default=None)
-    image = _header(data)
-    return None if image is None else image.size
-
-
-def is_to_be_turned(data: bytes) -> bool:
-    """Whether a JPEG says (EXIF, tag 274) that viewers are to show it turned or mirrored."""
-    image = _header(data) if b"Exif\0\0" in data[: 1 << 16] else None
-    try:
-        return image is not None and image.getexif().get(274, 1) in range(2, 9)
-    except Exception:  # whatever follows from damaged tags
-        return False
-
-
-def _header(data: bytes) -> Any:
-    """The image as Pillow opens it, without its pixels; None if it is damaged or of another kind."""
+    """Width and height that the header of a PNG, JPEG, TIFF, PNM or BMP file claims; None for other data."""
     from PIL import Image
 
     try:
-        return Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "TIFF", "PPM", "BMP"))
+        return Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "TIFF", "PPM", "BMP")).size
     except Exception:  # a damaged header leads to any exception
         return None
-
-
-def png_is_cut(data: bytes) -> bool:
-    """A PNG with a chunk that is longer than what is left of the file: OpenCV 5 would ask for that much memory."""
-    at = 8
-    while data[:8] == b"\x89PNG\r\n\x1a\n" and at + 8 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        at += 12 + length
-        if at > len(data):
-            return True
-        if kind == b"IEND":
-            break
-    return False

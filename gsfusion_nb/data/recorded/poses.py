@@ -1,7 +1,5 @@
 """Camera poses from text, checked rigid: one matrix per line or file, lines that name an image, and poses by time."""
 
-import itertools
-import logging
 import re
 from pathlib import Path
 
@@ -10,9 +8,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...foreign import read_text
+from ...files import read_text
 from ...geometry import quaternion
-from ...operands import check_place
+from ...geometry.operands import check_place
 from ..sequence import BadFrameError, SequenceError
 
 GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
@@ -178,8 +176,6 @@ def no_poses(n: int) -> Float[Tensor, "n 4 4"]:
     return torch.eye(4, dtype=torch.float64).expand(n, 4, 4).clone()
 
 
-log = logging.getLogger(__name__)
-
 POSE_LINE = "16 row-major numbers of a camera-to-world pose, or the name of an image and these"
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 
@@ -212,11 +208,11 @@ def image_number(image: Path) -> int | None:
     return None if match is None else int(match[0])
 
 
-def poses_of_images(path: Path, images: list[Path], first_image: int | None) -> Float[Tensor, "N 4 4"]:
+def poses_of_images(path: Path, images: list[Path]) -> Float[Tensor, "N 4 4"]:
     """The pose of each image in a finished ``poses.txt``; float64, not yet checked. [N, 4, 4]
 
     Lines that begin with a name belong to the image of that name. Lines of numbers alone belong to the images in order,
-    one each; with ``first_image`` to the images by the number at the end of their names, from that number on.
+    one each.
 
     Raises:
         SequenceError: a line that is not 16 numbers, an image without line, two lines of one name, or, where lines go
@@ -232,9 +228,14 @@ def poses_of_images(path: Path, images: list[Path], first_image: int | None) -> 
             raise SequenceError(f"{path} line {number} must hold 16 numbers ({POSE_LINE}), got {got}") from None
         names.append(name)
     table = torch.stack(rows)
-    if all(name is None for name in names):
-        return table[_lines_by_number(path, len(rows), images, first_image)]
-    return table[_lines_by_name(path, names, images)]
+    if any(name is not None for name in names):
+        return table[_lines_by_name(path, names, images)]
+    if len(rows) != len(images):
+        raise SequenceError(
+            f"{path} holds {len(rows)} poses; expected {len(images)}, one per image in {images[0].parent}; if images "
+            "are missing, put the name of its image before each pose"
+        )
+    return table
 
 
 def _lines_by_name(path: Path, names: list[str | None], images: list[Path]) -> list[int]:
@@ -249,36 +250,3 @@ def _lines_by_name(path: Path, names: list[str | None], images: list[Path]) -> l
     if lacking:
         raise SequenceError(f"{path} has no pose of {lacking[0]}; expected one per image")
     return [line_of[image_key(image.stem)] for image in images]
-
-
-def _lines_by_number(path: Path, n_lines: int, images: list[Path], first_image: int | None) -> list[int]:
-    numbers = [image_number(image) for image in images]
-    if first_image is not None:
-        lines = [-1 if number is None else number - first_image for number in numbers]
-        bad = [image for image, line in zip(images, lines, strict=True) if not 0 <= line < n_lines]
-        if bad:
-            raise SequenceError(
-                f"{path} holds {n_lines} poses, from image {first_image} on; expected one for {bad[0]} among them"
-            )
-        return lines
-    if n_lines != len(images):
-        raise SequenceError(
-            f"{path} holds {n_lines} poses; expected {len(images)}, one per image in {images[0].parent}; if images are "
-            "missing, put first_image, the number of the first line's image, into intrinsics.json, or the name of its "
-            "image before each pose"
-        )
-    steps = {b - a for a, b in itertools.pairwise(numbers) if a is not None and b is not None}
-    if len(steps) > 1:
-        gap = next(b for a, b in itertools.pairwise(images) if _step(a, b) != min(steps))
-        log.warning(
-            "%s: the numbers of the images have a gap before %s, but line k is taken as the pose of the k-th image: if "
-            "an image is missing, all later poses are wrong (with first_image in intrinsics.json, lines belong to "
-            "images by number)",
-            path,
-            gap.name,
-        )
-    return list(range(n_lines))
-
-
-def _step(a: Path, b: Path) -> int:
-    return (image_number(b) or 0) - (image_number(a) or 0)

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...operands import LATEST_S, check_depth_scale, check_plausible_camera
+from ...geometry.operands import check_depth_scale, check_plausible_camera
 from ...types import Camera, Frame
 from ..adjust.resize import resize_colour
 from ..sequence import BadFrameError, Sequence, SequenceError, position
@@ -29,7 +29,7 @@ class RecordedSequence:
     raises ``BadFrameError``; the other frames stay readable.
 
     Raises:
-        SequenceError: an impossible camera or depth scale (``gsfusion_nb.operands``).
+        SequenceError: an impossible camera or depth scale (``gsfusion_nb.geometry.operands``).
     """
 
     name: str
@@ -46,14 +46,10 @@ class RecordedSequence:
     """Stored depth value of one metre."""
     depth_invalid: tuple[int, ...] = ()
     """Stored depth values that mean "missing", besides 0."""
-    stored_size: tuple[int, int] | None = None
-    """Width and height of the files if they differ from the camera's, pixels."""
     rectify: Rectify | None = None
     """Applied to every pair of images (undistortion, registration)."""
     fit_sizes: bool = False
     """Resize colour images of another size than the camera's instead of refusing them."""
-    stamps_apart_s: float = 0.0
-    """Mean difference of the times of a frame's colour and depth image, as recorded."""
     no_times: str = ""
     """Why the recording has no times; ``timestamps_s`` then only count the frames."""
     has_poses: bool = True
@@ -69,12 +65,6 @@ class RecordedSequence:
             check_depth_scale(self.name, self.depth_scale)
         except ValueError as e:
             raise SequenceError(str(e)) from None
-        wrong = next((i for i, t in enumerate(self.timestamps_s) if not abs(t) <= LATEST_S), None)
-        if wrong is not None:
-            raise SequenceError(
-                f"{self.name}: the time of {self.rgb_files[wrong].name} must be within {LATEST_S:g} s of zero, got "
-                f"{self.timestamps_s[wrong]:g} s; check the times, or the frames per second (fps)"
-            )
 
     def __len__(self) -> int:
         return len(self.rgb_files)
@@ -113,7 +103,7 @@ class RecordedSequence:
                 f"{self.depth_files[i]} is {_wxh(depth_size)} but {self.rgb_files[i]} is {_wxh(rgb_size)}; "
                 "expected colour and depth of the same size, registered to each other"
             )
-        expected = self.stored_size or (self.camera.width, self.camera.height)
+        expected = (self.camera.width, self.camera.height)
         if rgb_size != expected:
             raise BadFrameError(
                 f"{self.rgb_files[i]} is {_wxh(rgb_size)}; expected {_wxh(expected)}, as the intrinsics say"
@@ -134,7 +124,5 @@ class Layout:
     """Files and folders by which the layout is recognised, patterns allowed; a folder ends in "/"."""
     locate: Callable[[Path], Path] = lambda path: path
     """The given folder, or the one inside it that holds these files."""
-    has_splits: bool = False
-    """``read`` takes ``split``, the lists of training and test frames that the data set publishes."""
     registration: Mapping[str, Any] = field(default_factory=dict)
     """Options that register colour to depth, where the layout's files are not registered."""

@@ -2,7 +2,6 @@
 
 import bisect
 import itertools
-import logging
 import math
 import statistics
 from collections import abc
@@ -10,11 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...errors import shown
+from ...checks import shown
 from ..sequence import SequenceError
 from .poses import image_key, read_words
-
-log = logging.getLogger(__name__)
 
 TIMES = "times.txt"
 
@@ -73,8 +70,6 @@ def read_image_list(path: Path) -> tuple[list[float], list[Path]]:
 def times_of_images(path: Path, images: list[Path]) -> tuple[list[float] | None, str]:
     """Seconds of each image by its name, from lines "name seconds"; or ``None`` and the reason why there are none.
 
-    Numbers that are not times (``judge_stamps``) are not used.
-
     Raises:
         SequenceError: a line that is not a name and a number, or an image that is not in the file.
     """
@@ -95,15 +90,6 @@ def times_of_images(path: Path, images: list[Path]) -> tuple[list[float] | None,
     times = [time_of[image_key(image.stem)] for image in images]
     if not all(math.isfinite(t) for t in times):
         return None, f"{path.name} holds none"  # converted from a recording without times
-    stamps = judge_stamps(times, unit="s")
-    if stamps.times_s is None:
-        log.warning(
-            "%s: its numbers are not times: %s; frames are taken in the order of their names", path, stamps.why_not
-        )
-        return None, f"the numbers of {path.name} are not times: {stamps.why_not}"
-    late = next((image for image, a, b in zip(images[1:], times, times[1:], strict=False) if b <= a), None)
-    if late is not None:
-        log.warning("%s: the time of %s is not after that of the image before it", path, late.name)
     return times, ""
 
 
@@ -114,8 +100,6 @@ MOST_PER_SECOND = 1000.0
 """No depth camera takes more frames per second: numbers that are nearer to each other are not times."""
 _REPEATED = 0.1
 """Share of equal neighbours above which numbers are not times."""
-_TWO_UNITS = 100.0
-"""Quartiles of the steps that differ by this factor come from two units; ms and s differ by 1000."""
 _COUNTER_BELOW, _COUNTER_STEP = 1e6, 20
 """Whole numbers below the first with a constant step below the second count frames; a clock has larger numbers, and in
 milliseconds larger steps."""
@@ -137,7 +121,7 @@ class Stamps:
 def judge_stamps(numbers: abc.Sequence[float], *, names: abc.Sequence[Any] = (), unit: str = "auto") -> Stamps:
     """Are these numbers the times at which images were taken?
 
-    Durations of the frames, frame counters, equal or negative numbers and mixed units are not. Numbers that do not
+    Durations of the frames, frame counters, equal or negative numbers are not. Numbers that do not
     increase in the order given are times only if the names of the images say the same order.
 
     Args:
@@ -182,20 +166,10 @@ def _no_times(ordered: list[float], per_second: float) -> str:
     repeated = sum(step == 0 for step in steps)
     if repeated > max(1, _REPEATED * n):
         return f"{repeated} of {n} repeat another"
-    if _two_units(ordered, sorted(step for step in steps if step > 0)):
-        return f"they are in several units, from {ordered[0]:g} to {ordered[-1]:g}"
     rate = per_second / statistics.median(steps)
     if rate > MOST_PER_SECOND:
         return f"sorted, they are far closer together than the frames of a camera, at {ordered[0]:g} to {ordered[-1]:g}"
     return ""
-
-
-def _two_units(ordered: list[float], steps: list[float]) -> bool:
-    """Some of these numbers are in another unit than the others, such as seconds and milliseconds."""
-    dates = any(1e9 <= v / n < 1e10 for v in (ordered[0], ordered[-1]) for n in PER_SECOND.values())
-    if dates and ordered[-1] > _TWO_UNITS * ordered[0]:
-        return True
-    return len(steps) > 3 and steps[(3 * len(steps)) // 4] > _TWO_UNITS * steps[len(steps) // 4]
 
 
 def _counter(ordered: list[float]) -> str:

@@ -43,7 +43,7 @@ def sofa() -> list[Solid]:
 
 def table(width: float = 1.4, depth: float = 0.8, height: float = 0.74) -> list[Solid]:
     """A wooden table with tapered legs and an apron."""
-    top, side = drawn(0.0025, draw.wood, _OAK, gloss=0.25), drawn(0.006, draw.wood, _OAK)
+    top, side = drawn(0.0025, draw.wood, _OAK), drawn(0.006, draw.wood, _OAK)
     solids: list[Solid] = [box((0, 0, height - 0.018), (width, depth, 0.036), side, radius=0.006, special={"z+": top})]
     x, y = 0.5 * width - 0.07, 0.5 * depth - 0.07
     for i, j in product((-1, 1), repeat=2):
@@ -138,7 +138,7 @@ def bookshelf(rng: np.random.Generator, width: float = 1.6, height: float = 2.0,
 
 
 def _vase(x: float, z: float) -> list[Solid]:
-    glaze = drawn(0.003, draw.speckled, (0.30, 0.48, 0.62), (0.85, 0.88, 0.9), 0.006, gloss=0.5)
+    glaze = drawn(0.003, draw.speckled, (0.30, 0.48, 0.62), (0.85, 0.88, 0.9), 0.006)
     return [
         cone((x, 0, z), 0.1, (0.045, 0.085), glaze, hide="bottom top"),
         cone((x, 0, z + 0.1), 0.12, (0.085, 0.03), glaze, hide="bottom"),
@@ -163,7 +163,7 @@ def _crate(x: float, z: float) -> list[Solid]:
 
 def floor_lamp() -> list[Solid]:
     """A shade on a thin pole, 1.6 m high."""
-    metal = plain(0.16, 0.15, 0.15, gloss=0.4)
+    metal = plain(0.16, 0.15, 0.15)
     return [
         cone((0, 0, 0), 0.025, (0.14, 0.13), metal, hide="bottom"),
         cone((0, 0, 0.025), 1.32, (0.011, 0.011), metal, hide="bottom top"),
@@ -173,7 +173,7 @@ def floor_lamp() -> list[Solid]:
 
 def pendant(length: float = 0.62) -> list[Solid]:
     """A lamp that hangs from its origin on the ceiling."""
-    metal, inside, z = plain(0.82, 0.45, 0.25, gloss=0.5), plain(1.0, 0.95, 0.85, glow=1.0), -length
+    metal, inside, z = plain(0.82, 0.45, 0.25), plain(1.0, 0.95, 0.85, glow=1.0), -length
     return [
         cone((0, 0, -0.025), 0.025, (0.05, 0.05), WHITE, hide="top"),
         cone((0, 0, z + 0.16), length - 0.18, (0.004, 0.004), plain(0.1, 0.1, 0.1), hide="bottom top"),
@@ -217,7 +217,7 @@ def curtain(width: float, height: float, colour: Colour) -> list[Solid]:
 
 def coffee_table() -> list[Solid]:
     """A low round table on three splayed legs."""
-    top, side = drawn(0.0025, draw.wood, _WALNUT, gloss=0.3), drawn(0.006, draw.wood, _WALNUT)
+    top, side = drawn(0.0025, draw.wood, _WALNUT), drawn(0.006, draw.wood, _WALNUT)
     leg, solids = drawn(0.006, draw.wood, _WALNUT, "v"), []
     solids.append(cone((0, 0, 0.38), 0.035, (0.36, 0.37), side, special={"top": top}))
     for a in (90, 210, 330):
@@ -240,8 +240,8 @@ def picture(width: float, height: float, paint: Paint, depth: float = 0.025, edg
 
 def mug(text: str, colour: Colour, ink: Colour) -> list[Solid]:
     """A cup of coffee with a handle."""
-    print_ = drawn(0.0012, draw.mug, text, colour, ink, gloss=0.6)
-    glaze, coffee = plain(*colour, gloss=0.6, texel_m=0.008), plain(0.16, 0.09, 0.05, texel_m=0.008)
+    print_ = drawn(0.0012, draw.mug, text, colour, ink)
+    glaze, coffee = plain(*colour, texel_m=0.008), plain(0.16, 0.09, 0.05, texel_m=0.008)
     return [
         cone((0, 0, 0), 0.095, (0.038, 0.041), print_, hide="bottom", special={"top": coffee}),
         rod((0.035, 0, 0.075), (0.07, 0, 0.072), 0.006, glaze),
@@ -252,15 +252,15 @@ def mug(text: str, colour: Colour, ink: Colour) -> list[Solid]:
 
 def fruit_bowl(rng: np.random.Generator) -> list[Solid]:
     """A wide bowl filled with oranges and apples."""
-    glaze = drawn(0.003, draw.speckled, (0.90, 0.88, 0.82), (0.45, 0.4, 0.38), 0.005, 0.08, gloss=0.5)
+    glaze = drawn(0.003, draw.speckled, (0.90, 0.88, 0.82), (0.45, 0.4, 0.38), 0.005, 0.08)
     solids: list[Solid] = [
         cone((0, 0, 0), 0.015, (0.06, 0.06), glaze, hide="bottom top"),
         cone((0, 0, 0.012), 0.075, (0.065, 0.15), glaze, hide="bottom"),
     ]
     skins = [
-        drawn(0.002, draw.speckled, (0.95, 0.55, 0.12), (0.85, 0.43, 0.08), 0.003, 0.2, gloss=0.3),
-        drawn(0.002, draw.speckled, (0.72, 0.13, 0.12), (0.86, 0.55, 0.25), 0.012, 0.15, gloss=0.5),
-        drawn(0.002, draw.speckled, (0.62, 0.72, 0.22), (0.72, 0.78, 0.4), 0.006, 0.15, gloss=0.5),
+        drawn(0.002, draw.speckled, (0.95, 0.55, 0.12), (0.85, 0.43, 0.08), 0.003, 0.2),
+        drawn(0.002, draw.speckled, (0.72, 0.13, 0.12), (0.86, 0.55, 0.25), 0.012, 0.15),
+        drawn(0.002, draw.speckled, (0.62, 0.72, 0.22), (0.72, 0.78, 0.4), 0.006, 0.15),
     ]
     for k in range(6):
         a = 2 * np.pi * k / 5
@@ -272,12 +272,12 @@ def fruit_bowl(rng: np.random.Generator) -> list[Solid]:
 
 def globe() -> list[Solid]:
     """A globe on a stand."""
-    metal, tilt = plain(0.55, 0.42, 0.2, gloss=0.5, texel_m=0.01), np.radians(23)
+    metal, tilt = plain(0.55, 0.42, 0.2, texel_m=0.01), np.radians(23)
     axis, centre = np.array([np.sin(tilt), 0, np.cos(tilt)]) * 0.155, np.array([0, 0, 0.235])
     return [
         cone((0, 0, 0), 0.02, (0.085, 0.07), metal, hide="bottom"),
         cone((0, 0, 0.02), 0.08, (0.012, 0.012), metal, hide="bottom top"),
-        ball(centre, 0.14, drawn(0.002, draw.globe, gloss=0.5), turn=(0, 23, 0)),
+        ball(centre, 0.14, drawn(0.002, draw.globe), turn=(0, 23, 0)),
         rod(centre - axis, centre + axis, 0.006, metal),
     ]
 
@@ -313,7 +313,7 @@ def open_book() -> list[Solid]:
 
 def laptop() -> list[Solid]:
     """An open laptop."""
-    shell = plain(0.62, 0.63, 0.66, gloss=0.3)
+    shell = plain(0.62, 0.63, 0.66)
     keys, display = drawn(0.0015, draw.keyboard), drawn(0.0012, draw.screen)
     return [
         box((0, 0, 0.009), (0.34, 0.24, 0.018), shell, hide="z-", special={"z+": keys}),
@@ -344,4 +344,4 @@ def beach_ball(radius: float = 0.15) -> list[Solid]:
     """A ball with coloured gores."""
     white = (0.95, 0.95, 0.92)
     gores = [(0.85, 0.2, 0.18), white, (0.15, 0.45, 0.75), white, (0.95, 0.75, 0.15), white]
-    return [ball((0, 0, radius), radius, drawn(0.003, draw.ball, gores, gloss=0.6), turn=(30, 35, 20))]
+    return [ball((0, 0, radius), radius, drawn(0.003, draw.ball, gores), turn=(30, 35, 20))]

@@ -45,7 +45,7 @@ def _shell() -> list[Solid]:
     paper = drawn(0.004, draw.wallpaper, (0.80, 0.80, 0.72), (0.68, 0.71, 0.62))
     north = drawn(0.012, draw.paint, (0.82, 0.86, 0.87))
     south = drawn(0.012, draw.paint, (0.90, 0.86, 0.79))
-    floor = drawn(0.0028, draw.planks, (0.64, 0.47, 0.31), gloss=0.12)
+    floor = drawn(0.0028, draw.planks, (0.64, 0.47, 0.31))
     white = drawn(0.02, draw.paint, (0.95, 0.95, 0.94), 0.0, 0.004)
     slabs = [
         ((0, 0, -s / 2), (w, d, s), "z+", floor),
@@ -114,7 +114,7 @@ def _sofa_side() -> list[Solid]:
     weave = drawn(0.004, draw.rug, ((0.80, 0.76, 0.66), (0.24, 0.32, 0.44), (0.68, 0.30, 0.22)))
     mug = f.mug("HELLO", (0.9, 0.88, 0.84), (0.2, 0.35, 0.5))
     wicker = drawn(0.004, draw.stripes, [(0.75, 0.6, 0.42), (0.62, 0.47, 0.3)], 0.02, "v")
-    vase = drawn(0.003, draw.stripes, [(0.9, 0.88, 0.82), (0.25, 0.35, 0.5)], 0.02, "v", gloss=0.5)
+    vase = drawn(0.003, draw.stripes, [(0.9, 0.88, 0.82), (0.25, 0.35, 0.5)], 0.02, "v")
     return [
         *_arranged(
             (f.sofa(), (x + 0.48, 0.2, 0), 90),
@@ -162,7 +162,7 @@ def _table_side(rng: np.random.Generator) -> list[Solid]:
 
 def _shelf_side(rng: np.random.Generator) -> list[Solid]:
     """South wall: bookshelf, door, clock, eye chart."""
-    white, brass = plain(0.9, 0.89, 0.85), plain(0.72, 0.58, 0.3, gloss=0.8, texel_m=0.01)
+    white, brass = plain(0.9, 0.89, 0.85), plain(0.72, 0.58, 0.3, texel_m=0.01)
     door: list[Solid] = [
         box((0, -0.015, 1.02), (0.84, 0.03, 2.04), white, hide="y+ z-", special={"y-": drawn(0.004, draw.door)}),
         *(box((dx, -0.025, 1.04), (0.09, 0.05, 2.08), white, hide="y+ z-") for dx in (-0.46, 0.46)),

@@ -13,7 +13,7 @@ from ...checks import check_positive
 from ...files import cache_folder
 from ...types import Mesh
 from .interior import SHELL_SOLIDS, furnishing
-from .scene import LEVELS, Scene, cached, level_offsets, load_scene, version
+from .scene import LEVELS, Scene, cached, level_offsets, load_scene, texels, version
 from .solids import signed_distance
 
 _LIFT_M = 0.002
@@ -171,17 +171,10 @@ def _turned(faces: ndarray, odd: ndarray) -> ndarray:
 
 
 def _colours(scene: Scene, chart: ndarray, uv: ndarray, resolution_m: float) -> ndarray:
-    import cv2
-
     layout = scene.layout
     level = np.log2(np.maximum(resolution_m / layout.texel_m[chart], 1)).astype(int).clip(0, LEVELS)
     cols, rows = level_offsets(layout.height)
     scale = 0.5**level
     x = (layout.x[chart] + layout.w[chart] * (uv[:, 0] % 1.0001)) * scale + cols[level] - 0.5
     y = (layout.y[chart] + layout.h[chart] * uv[:, 1]) * scale + rows[level] - 0.5
-    side = 1024
-    padded = np.zeros((2, -(-len(chart) // side) * side), np.float32)
-    padded[0, : len(chart)], padded[1, : len(chart)] = x, y
-    map_x, map_y = padded.reshape(2, -1, side)
-    rgb = cv2.remap(scene.atlas, map_x, map_y, cv2.INTER_LINEAR).reshape(-1, 3)[: len(chart)]
-    return rgb.astype(np.float32) / 255
+    return texels(scene.atlas, x, y).astype(np.float32) / 255

@@ -41,17 +41,11 @@ class FlatPatches:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CurvedPatch:
-    """The side of a cone (``semi`` None) or an ellipsoid, in its own local frame."""
+    """The side of a cone, an ellipsoid, or a rounded edge or corner of a box."""
 
-    R: ndarray
-    t: ndarray
-    extent: ndarray
-    semi: ndarray | None
-    half_height: float = 0.0
-    rho0: float = 0.0
-    """Cone radius at z = 0, metres."""
-    slope: float = 0.0
+    shape: Frustum | Ellipsoid
     solid: Solid
+    """Whose surface it is: ``shape`` itself, or the box."""
     charts: ndarray
     """Chart number by face number of ``solid``; -1 where the face has no paint."""
     guard_normals: ndarray | None = None
@@ -61,52 +55,6 @@ class CurvedPatch:
     def may_face(self, eye_W: ndarray) -> bool:
         """Whether the patch can be visible from ``eye_W``."""
         return self.guard_normals is None or bool((self.guard_normals @ eye_W > self.guard_offsets).any())
-
-    def intersect(self, o: ndarray, d: Sequence[ndarray]) -> ndarray:
-        """Nearest t > 0 with o + t d on the patch, local frame; inf if there is none."""
-        if self.semi is not None:
-            return _hit_ellipsoid(o / self.semi, [c / s for c, s in zip(d, self.semi, strict=True)])
-        return _hit_cone(o, d, self.half_height, self.rho0, self.slope)
-
-    def normal(self, p: ndarray) -> ndarray:
-        """Outward unit normals at local points. [N, 3]"""
-        if self.semi is not None:
-            n = p / self.semi**2
-        else:
-            rho = np.maximum(np.hypot(p[..., 0], p[..., 1]), 1e-12)
-            n = np.stack([p[..., 0] / rho, p[..., 1] / rho, np.full_like(rho, -self.slope)], -1)
-        return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-12)
-
-
-def _hit_ellipsoid(o: ndarray, d: Sequence[ndarray]) -> ndarray:
-    """Unit sphere: |o + t d|^2 = 1, entering root."""
-    a = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
-    b = o[0] * d[0] + o[1] * d[1] + o[2] * d[2]
-    disc = b * b - a * (o @ o - 1)
-    hit = disc > 0
-    t = np.full(a.shape, np.inf)
-    t[hit] = (-b[hit] - np.sqrt(disc[hit])) / a[hit]
-    t[t <= 0] = np.inf
-    return t
-
-
-def _hit_cone(o: ndarray, d: Sequence[ndarray], half_height: float, rho0: float, slope: float) -> ndarray:
-    """x^2 + y^2 = (rho0 + slope z)^2 with |z| <= half_height: the smaller valid root."""
-    k = rho0 + slope * o[2]
-    a = d[0] * d[0] + d[1] * d[1] - (slope * slope) * d[2] * d[2]
-    b = o[0] * d[0] + o[1] * d[1] - (slope * k) * d[2]
-    disc = b * b - a * (o[0] * o[0] + o[1] * o[1] - k * k)
-    t = np.full(a.shape, np.inf)
-    hit = np.flatnonzero(disc > 0)
-    a, b, dz, root = a.flat[hit], b.flat[hit], d[2].flat[hit], np.sqrt(disc.flat[hit])
-    a = np.where(np.abs(a) < 1e-14, 1e-14, a)
-    best = np.full(hit.shape, np.inf)
-    for candidate in ((-b - root) / a, (-b + root) / a):
-        z = o[2] + candidate * dz
-        valid = (candidate > 0) & (np.abs(z) <= half_height) & (rho0 + slope * z >= 0)
-        best = np.where(valid & (candidate < best), candidate, best)
-    t.flat[hit] = best
-    return t
 
 
 def compile_patches(
@@ -124,11 +72,9 @@ def compile_patches(
         elif isinstance(solid, Frustum):
             flat += _caps(solid, charts)
             if charts[0] >= 0:
-                curved.append(_cone(solid, charts))
-        elif isinstance(solid, Ellipsoid):
-            curved.append(
-                CurvedPatch(R=solid.R, t=solid.t, extent=solid.semi, semi=solid.semi, solid=solid, charts=charts)
-            )
+                curved.append(CurvedPatch(shape=solid, solid=solid, charts=charts))
+        else:
+            curved.append(CurvedPatch(shape=solid, solid=solid, charts=charts))
     columns = [np.array(c) for c in zip(*flat, strict=True)]
     names = ("centre", "right", "up", "normal", "half_w", "half_h", "disc", "chart", "chart_w", "chart_h")
     return FlatPatches(**dict(zip(names, columns, strict=True))), curved
@@ -159,20 +105,6 @@ def _caps(frustum: Frustum, charts: ndarray) -> list[tuple]:
     return rows
 
 
-def _cone(f: Frustum, charts: ndarray) -> CurvedPatch:
-    return CurvedPatch(
-        R=f.R,
-        t=f.t,
-        extent=f.extent,
-        semi=None,
-        half_height=f.half_height,
-        rho0=0.5 * (f.r_bottom + f.r_top),
-        slope=f.slope,
-        solid=f,
-        charts=charts,
-    )
-
-
 def _rounded_edges(box: Box, charts: ndarray) -> list[CurvedPatch]:
     """Twelve edge cylinders and eight corner spheres; pieces between faces without paint are omitted."""
     pieces = []
@@ -185,40 +117,17 @@ def _rounded_edges(box: Box, charts: ndarray) -> list[CurvedPatch]:
             continue
         normals = np.stack([box.R[:, axis] * s[axis] for axis in range(3) if s[axis]])
         offsets = normals @ box.t + box.inner[s != 0]
-        R, extent, semi, half_height = box.R, np.full(3, box.radius), np.full(3, box.radius), 0.0
+        t, r = box.t + box.R @ (s * box.inner), box.radius
+        shape: Frustum | Ellipsoid = Ellipsoid(t=t, R=box.R, paints={}, semi=np.full(3, r))
         if np.count_nonzero(s) == 2:
             axis = int(np.flatnonzero(s == 0)[0])
             R = box.R[:, [(axis + 1) % 3, (axis + 2) % 3, axis]]
-            half_height, semi = float(box.inner[axis]), None
-            extent = np.array([box.radius, box.radius, half_height])
-        pieces.append(
-            CurvedPatch(
-                R=R,
-                t=box.t + box.R @ (s * box.inner),
-                extent=extent,
-                semi=semi,
-                half_height=half_height,
-                rho0=box.radius,
-                solid=box,
-                charts=charts,
-                guard_normals=normals,
-                guard_offsets=offsets,
-            )
-        )
+            shape = Frustum(t=t, R=R, paints={}, half_height=float(box.inner[axis]), r_bottom=r, r_top=r)
+        pieces.append(CurvedPatch(shape=shape, solid=box, charts=charts, guard_normals=normals, guard_offsets=offsets))
     return pieces
 
 
 _NEAR_M = 0.02
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Hits:
-    """The first patch that each ray of an image meets."""
-
-    w: ndarray
-    """Inverse z-depth, 1/metres; 0 if there is none. [H, W] float32"""
-    patch: ndarray
-    """Patch number, flat ones first; -1 if there is none. [H, W] int32"""
 
 
 class RoomView:
@@ -241,8 +150,9 @@ class RoomView:
 
     def local_rays(self, patch: CurvedPatch, x: ndarray, y: ndarray) -> tuple[ndarray, list[ndarray]]:
         """Origin and direction components of rays through (x, y, 1) in a curved patch's frame."""
-        M = patch.R.T @ self.R
-        return (self.eye - patch.t) @ patch.R, [M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)]
+        shape = patch.shape
+        M = shape.R.T @ self.R
+        return (self.eye - shape.t) @ shape.R, [M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)]
 
     def bounds(self, corners_C: ndarray) -> ndarray:
         """Pixel rectangles (row0, row1, column0, column1) of convex hulls of camera-frame points; empty if not visible.
@@ -269,13 +179,14 @@ class RoomView:
         return np.clip(low_high, 0, size).astype(np.int64)
 
 
-def cast(view: RoomView) -> Hits:
-    """Nearest patch and inverse depth at every pixel centre."""
+def cast(view: RoomView) -> tuple[ndarray, ndarray]:
+    """Inverse z-depth of the first patch that each pixel centre's ray meets (1/metres, 0 if there is none, [H, W]
+    float32), and its number (flat ones first, -1 if there is none, [H, W] int32)."""
     w = np.zeros((view.camera.height, view.camera.width), np.float32)
     patch = np.full(w.shape, -1, np.int32)
     _cast_flat(view, w, patch)
     _cast_curved(view, w, patch)
-    return Hits(w=w, patch=patch)
+    return w, patch
 
 
 def _cast_flat(view: RoomView, w: ndarray, patch: ndarray) -> None:
@@ -336,7 +247,8 @@ _BOX_CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-
 
 def _cast_curved(view: RoomView, w: ndarray, patch: ndarray) -> None:
     first = len(view.flat.chart)
-    corners = np.stack([piece.t + (_BOX_CORNERS * piece.extent) @ piece.R.T for piece in view.curved])
+    shapes = [piece.shape for piece in view.curved]
+    corners = np.stack([shape.t + (_BOX_CORNERS * shape.extent) @ shape.R.T for shape in shapes])
     corners = (corners - view.eye) @ view.R
     bounds = view.bounds(corners)
     nearest = np.maximum(corners[..., 2].min(1), _NEAR_M)
@@ -351,7 +263,7 @@ def _cast_curved(view: RoomView, w: ndarray, patch: ndarray) -> None:
         if rows.size == 0:
             continue
         o, d = view.local_rays(piece, view.x[col0:col1][cols], view.y[row0:row1][rows])
-        w_here = (1.0 / piece.intersect(o, d)).astype(np.float32)
+        w_here = (1.0 / piece.shape.intersect(o, d)).astype(np.float32)
         closer = w_here > w_area[rows, cols]
         rows, cols = rows[closer], cols[closer]
         w_area[rows, cols] = w_here[closer]

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from ...files import atomic_file, cache_folder
-from ...foreign import read_bytes
+from ...files import atomic_file, cache_folder, read_bytes
 from .interior import SHELL_SOLIDS, interior
 from .lighting import DistanceGrid, irradiance
 from .raycast import CurvedPatch, FlatPatches, compile_patches
@@ -153,6 +152,18 @@ def level_offsets(height: int) -> tuple[ndarray, ndarray]:
     return np.array([0] + [WIDTH] * LEVELS, np.float32), np.array(rows, np.float32)
 
 
+def texels(atlas: ndarray, x: ndarray, y: ndarray) -> ndarray:
+    """Bilinear texels at columns and rows of the combined picture. [N] -> [N, 3] uint8"""
+    import cv2
+
+    n = x.size
+    side = 1024 if n >= 1024 else n  # cv2.remap takes pictures of fewer than 2^15 rows and columns
+    padded = np.zeros((2, -(-n // side) * side), np.float32)
+    padded[0, :n], padded[1, :n] = x, y
+    map_x, map_y = padded.reshape(2, -1, side)
+    return cv2.remap(atlas, map_x, map_y, cv2.INTER_LINEAR).reshape(-1, 3)[:n]
+
+
 log = logging.getLogger(__name__)
 
 SCENE_VERSION = 2
@@ -183,8 +194,6 @@ class Scene:
     """Lit sRGB texture of all charts with mip levels. [H, W, 3] uint8"""
     texel_of_patch: ndarray
     """Edge of a texel by patch number, metres. [P]"""
-    gloss_of_patch: ndarray
-    """Height of the specular lobe by patch number. [P]"""
 
 
 @functools.lru_cache(maxsize=2)
@@ -210,7 +219,6 @@ def load_scene(seed: int, cache: bool = True) -> Scene:
         curved=curved,
         atlas=with_mips(level0),
         texel_of_patch=layout.texel_m[chart_of_patch],
-        gloss_of_patch=np.array([charts[k].paint.gloss for k in chart_of_patch], np.float32),
     )
 
 

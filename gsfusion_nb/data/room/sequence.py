@@ -51,9 +51,6 @@ class RoomSequence:
     """"mapping" sees the whole room; "novel" is another path through it, for views that were never mapped."""
     noise: str = "none"
     """"none": exact depth; "kinect": with the errors of a Kinect."""
-    view_dependent: bool = False
-    """Add soft highlights on glossy objects; without them the colour of a point does not depend on the direction of
-    view."""
     exposure_stops: float = 0.0
     """Auto exposure: the brightness wanders by this many stops (standard deviation), white balance by a fifth."""
     pose_error_m: float = 0.0
@@ -177,9 +174,7 @@ class RoomSequence:
         return {k: (v.shape, v.dtype) for k, v in images.items()} == wanted
 
     def _render(self, i: int) -> dict[str, np.ndarray]:
-        rgb, depth_m = render_room(
-            self.camera, self.true_pose(i), view_dependent=self.view_dependent, seed=self.seed, cache=self.cache
-        )
+        rgb, depth_m = render_room(self.camera, self.true_pose(i), seed=self.seed, cache=self.cache)
         return {
             "rgb": np.rint(rgb.numpy() * 255).astype(np.uint8),
             "depth": np.rint(depth_m.numpy() / _DEPTH_UNIT_M).astype(np.uint16),
@@ -187,7 +182,7 @@ class RoomSequence:
 
 
 def render_room(
-    camera: Camera, T_WC: Float[Tensor, "4 4"], *, view_dependent: bool = False, seed: int = 0, cache: bool = True
+    camera: Camera, T_WC: Float[Tensor, "4 4"], *, seed: int = 0, cache: bool = True
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:
     """Colour and depth of the room from any pose.
 
@@ -197,7 +192,6 @@ def render_room(
     Args:
         camera: Intrinsics.
         T_WC: Camera-to-world pose, OpenCV axes, metres; the world's z points up. [4, 4]
-        view_dependent: Add soft highlights on glossy objects.
         seed: The room's seed.
         cache: Store the lit textures on disk.
 
@@ -212,11 +206,9 @@ def render_room(
     check_pose("T_WC", T_WC)
     scene = load_scene(seed, cache)
     view = raycast.RoomView(scene.flat, scene.curved, camera, T_WC.detach().cpu().double().numpy())
-    hits = raycast.cast(view)
-    rgb = shade.colour(scene, view, hits)
-    if view_dependent:
-        rgb = shade.with_highlights(rgb, scene, view, hits)
-    depth_m = np.divide(1.0, hits.w, out=np.zeros_like(hits.w), where=hits.patch >= 0)
+    w, patch = raycast.cast(view)
+    rgb = shade.colour(scene, view, w, patch)
+    depth_m = np.divide(1.0, w, out=np.zeros_like(w), where=patch >= 0)
     return torch.from_numpy(rgb), torch.from_numpy(depth_m)
 
 

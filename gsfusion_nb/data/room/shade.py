@@ -7,9 +7,8 @@ neighbouring pixels belong to different patches, the four points are intersected
 import numpy as np
 from numpy import ndarray
 
-from .lighting import LIGHTS
-from .raycast import Hits, RoomView
-from .scene import LEVELS, Scene, level_offsets
+from .raycast import RoomView
+from .scene import LEVELS, Scene, level_offsets, texels
 
 _POINTS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]], np.float32)
 """Sample points in a pixel, from its centre, pixels."""
@@ -18,22 +17,22 @@ _DITHER = np.array([0.125, 0.625, 0.875, 0.375], np.float32)
 """Added to the mip level before rounding down: over the four points this blends neighbouring levels."""
 
 
-def colour(scene: Scene, view: RoomView, hits: Hits) -> ndarray:
-    """sRGB image, 0..1. [H, W, 3] float32"""
-    H, W = hits.patch.shape
+def colour(scene: Scene, view: RoomView, inverse_depth: ndarray, patches: ndarray) -> ndarray:
+    """sRGB image, 0..1, of what ``cast`` found. [H, W, 3] float32"""
+    H, W = patches.shape
     lookup = _TextureLookup(scene, view)
     offsets = _POINTS / np.array([view.camera.fx, view.camera.fy], np.float32)
-    patch = hits.patch.ravel()
+    patch = patches.ravel()
     x = np.tile(view.x.astype(np.float32), H)
     y = np.repeat(view.y.astype(np.float32), W)
-    w = hits.w.ravel()
+    w = inverse_depth.ravel()
     U, V, level = lookup.sample(patch, x, y, w, offsets)
     total = np.zeros((H * W, 3), np.uint16)
     for k in range(4):
         total += lookup.fetch(U[k], V[k], level + _DITHER[k])
-    edges = _edge_pixels(hits.patch)
+    edges = _edge_pixels(patches)
     if edges.size:
-        total[edges] = _edge_colour(lookup, view, hits, edges, offsets)
+        total[edges] = _edge_colour(lookup, inverse_depth, patches, edges, offsets)
     total[patch < 0] = 0
     return (total.astype(np.float32) * np.float32(1 / 1020)).reshape(H, W, 3)
 
@@ -89,7 +88,7 @@ class _TextureLookup:
         piece = self.view.curved[i]
         o, d = self.view.local_rays(piece, x, y)
         t = 1.0 / w
-        n = piece.normal(o + t[:, None] * np.stack(d, -1)) @ (piece.R.T @ self.view.R)
+        n = piece.shape.normal(o + t[:, None] * np.stack(d, -1)) @ (piece.shape.R.T @ self.view.R)
         k = t * (n[:, 0] * x + n[:, 1] * y + n[:, 2])
         k = np.minimum(k, -0.02 * t)  # at the silhouette the ray lies in the tangent plane
         return n[:, 0] / k, n[:, 1] / k
@@ -98,8 +97,8 @@ class _TextureLookup:
         piece, layout = self.view.curved[i], self.scene.layout
         o, d = self.view.local_rays(piece, x, y)
         p = o + np.stack(d, -1) * t[..., None]
-        if piece.t is not piece.solid.t:  # a piece of a rounded box
-            p = piece.solid.to_local(p @ piece.R.T + piece.t)
+        if piece.shape is not piece.solid:  # a piece of a rounded box
+            p = piece.solid.to_local(p @ piece.shape.R.T + piece.shape.t)
         face, u, v = piece.solid.chart(p)
         chart = piece.charts[face]
         chart = np.where(chart < 0, piece.charts.max(), chart)
@@ -120,18 +119,9 @@ class _TextureLookup:
 
     def fetch(self, U: ndarray, V: ndarray, level: ndarray) -> ndarray:
         """Bilinear texels of the rounded-down level. [N, 3] uint8"""
-        import cv2
-
         at = np.minimum(level.astype(np.uint8), LEVELS)
         scale = self.scales[at]
-        n = U.size
-        side = 1024 if n >= 1024 else n  # cv2.remap takes pictures of fewer than 2^15 rows and columns
-        rows = -(-n // side)
-        map_xy = np.zeros((2, rows * side), np.float32)
-        map_xy[0, :n] = U * scale + self.cols[at]
-        map_xy[1, :n] = V * scale + self.rows[at]
-        map_x, map_y = map_xy.reshape(2, rows, side)
-        return cv2.remap(self.scene.atlas, map_x, map_y, cv2.INTER_LINEAR).reshape(-1, 3)[:n]
+        return texels(self.scene.atlas, U * scale + self.cols[at], V * scale + self.rows[at])
 
 
 def _edge_pixels(patch: ndarray) -> ndarray:
@@ -145,13 +135,15 @@ def _edge_pixels(patch: ndarray) -> ndarray:
     return np.flatnonzero(edge)
 
 
-def _edge_colour(lookup: _TextureLookup, view: RoomView, hits: Hits, edges: ndarray, offsets: ndarray) -> ndarray:
+def _edge_colour(
+    lookup: _TextureLookup, inverse_depth: ndarray, patches: ndarray, edges: ndarray, offsets: ndarray
+) -> ndarray:
     """Sum of the four points' colours on edge pixels. [E, 3] uint16"""
-    H, W = hits.patch.shape
+    view, (H, W) = lookup.view, patches.shape
     row, col = np.divmod(edges, W)
-    centre = hits.patch[row, col]
+    centre = patches[row, col]
     shifts = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
-    near = np.stack([hits.patch[np.clip(row + i, 0, H - 1), np.clip(col + j, 0, W - 1)] for i, j in shifts], 1)
+    near = np.stack([patches[np.clip(row + i, 0, H - 1), np.clip(col + j, 0, W - 1)] for i, j in shifts], 1)
     near.sort(axis=1)
     fresh = np.concatenate([np.ones((len(edges), 1), bool), near[:, 1:] != near[:, :-1]], 1)
     pixel, slot = np.nonzero(fresh)
@@ -165,7 +157,7 @@ def _edge_colour(lookup: _TextureLookup, view: RoomView, hits: Hits, edges: ndar
     patch = np.take_along_axis(near, best, 1)
     missed = w_best <= 0  # thinner than the sample distance: keep the centre's patch
     patch = np.where(missed, centre[:, None], patch)
-    w_best = np.where(missed, hits.w[row, col][:, None], w_best)
+    w_best = np.where(missed, inverse_depth[row, col][:, None], w_best)
     x, y, w_best = (a.astype(np.float32).ravel() for a in (x, y, w_best))
     patch = patch.ravel()
     U, V, level = lookup.sample(patch, x, y, w_best, np.zeros((1, 2), np.float32))
@@ -184,30 +176,5 @@ def _inverse_depth(lookup: _TextureLookup, view: RoomView, patch: ndarray, x: nd
     w = np.where(inside, w, -1.0)
     for i, at in lookup.segments(patch):
         o, d = view.local_rays(view.curved[i], x[at], y[at])
-        w[at] = 1.0 / view.curved[i].intersect(o, d)
+        w[at] = 1.0 / view.curved[i].shape.intersect(o, d)
     return np.where(w > 0, w, -1.0)
-
-
-def with_highlights(rgb: ndarray, scene: Scene, view: RoomView, hits: Hits) -> ndarray:
-    """``rgb`` plus a broad lobe gloss * light * (n.h)^16 of every light on glossy patches (Blinn 1977). [H, W, 3]"""
-    row, col = np.nonzero(scene.gloss_of_patch[hits.patch] > 0)
-    patch = hits.patch[row, col]
-    ray = np.stack([view.x[col], view.y[row], np.ones(len(row))], -1) @ view.R.T
-    xyz = view.eye + ray / hits.w[row, col, None]
-    n_flat = len(view.flat.chart)
-    normal = view.flat.normal[np.minimum(patch, n_flat - 1)]
-    for i in np.unique(patch[patch >= n_flat]):
-        at, piece = patch == i, view.curved[i - n_flat]
-        normal[at] = piece.normal((xyz[at] - piece.t) @ piece.R) @ piece.R.T
-    to_eye = -ray / np.linalg.norm(ray, axis=1, keepdims=True)
-    added = np.zeros_like(xyz)
-    for light in LIGHTS:
-        to_light = np.array(light.position) - xyz
-        distance = np.linalg.norm(to_light, axis=1, keepdims=True)
-        half = to_light / distance + to_eye
-        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-        lobe = np.maximum((normal * half).sum(1, keepdims=True), 0) ** 16
-        added += lobe / (distance**2 + 0.25) * np.array(light.colour)
-    out = rgb.copy()
-    out[row, col] += (scene.gloss_of_patch[patch][:, None] * added).astype(np.float32)
-    return np.minimum(out, 1.0)

@@ -32,15 +32,19 @@ class Paint:
     """Albedo as an sRGB value, 0..1, if nothing is drawn."""
     texel_m: float = 0.03
     """Edge of a texel on the surface, metres."""
-    gloss: float = 0.0
-    """Height of the specular lobe in view-dependent shading."""
     glow: float = 0.0
     """Emitted brightness; > 0 replaces the shading."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Solid:
-    """A placed convex solid."""
+class Placed:
+    """What all solids have.
+
+    Each also has ``faces`` (their names), ``extent`` (half size of the local bounding box, metres [3]), ``sdf`` (signed
+    distance of local points, metres, exact outside), ``face_size_m`` (width and height of a face's chart on the
+    surface, metres), ``surface`` (local points and outward unit normals at chart coordinates) and ``chart`` (face
+    number and chart coordinates of local points on curved faces). Cones and ellipsoids can be hit by rays.
+    """
 
     t: ndarray
     """Centre, world frame, metres. [3]"""
@@ -51,45 +55,19 @@ class Solid:
     occludes: bool = True
     """Whether it casts shadows (lamps do not)."""
 
-    @property
-    def faces(self) -> tuple[str, ...]:
-        """Names of all faces."""
-        raise NotImplementedError
-
-    @property
-    def extent(self) -> ndarray:
-        """Half size of the local bounding box, metres. [3]"""
-        raise NotImplementedError
-
-    def sdf(self, p: ndarray) -> ndarray:
-        """Signed distance of local points, metres, exact outside. [N, 3] -> [N]"""
-        raise NotImplementedError
-
-    def face_size_m(self, face: str) -> tuple[float, float]:
-        """Width and height of a face's chart on the surface, metres."""
-        raise NotImplementedError
-
-    def surface(self, face: str, u: ndarray, v: ndarray) -> tuple[ndarray, ndarray]:
-        """Local points and outward unit normals at chart coordinates."""
-        raise NotImplementedError
-
-    def chart(self, p: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-        """Face number and chart coordinates of local points on the surface (curved faces only)."""
-        raise NotImplementedError
-
     def to_local(self, xyz_W: ndarray) -> ndarray:
         """World points in the local frame."""
         return (xyz_W - self.t) @ self.R
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Box(Solid):
+class Box(Placed):
     """A box with outer half size ``half`` whose edges are rounded with ``radius`` (0: sharp)."""
 
     half: ndarray
     radius: float = 0.0
 
-    faces = BOX_FACES  # pyright: ignore[reportAssignmentType]
+    faces = BOX_FACES
 
     @property
     def extent(self) -> ndarray:
@@ -135,14 +113,14 @@ class Box(Solid):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Frustum(Solid):
+class Frustum(Placed):
     """A capped cone about local z, from radius ``r_bottom`` at -half_height to ``r_top`` at +half_height."""
 
     half_height: float
     r_bottom: float
     r_top: float
 
-    faces = ("side", "bottom", "top")  # pyright: ignore[reportAssignmentType]
+    faces = ("side", "bottom", "top")
 
     @property
     def slope(self) -> float:
@@ -190,14 +168,42 @@ class Frustum(Solid):
         u = np.arctan2(p[..., 1], p[..., 0]) / (2 * np.pi) % 1.0
         return np.zeros(u.shape, int), u, 0.5 - 0.5 * p[..., 2] / self.half_height
 
+    def normal(self, p: ndarray) -> ndarray:
+        """Outward unit normals at local points of the side. [N, 3]"""
+        rho = np.maximum(np.hypot(p[..., 0], p[..., 1]), 1e-12)
+        n = np.stack([p[..., 0] / rho, p[..., 1] / rho, np.full_like(rho, -self.slope)], -1)
+        return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-12)
+
+    def intersect(self, o: ndarray, d: Sequence[ndarray]) -> ndarray:
+        """Nearest t > 0 with o + t d on the side, local frame; inf if there is none.
+
+        x^2 + y^2 = (rho0 + slope z)^2 with |z| <= half_height: the smaller valid root.
+        """
+        rho0, slope = 0.5 * (self.r_bottom + self.r_top), self.slope
+        k = rho0 + slope * o[2]
+        a = d[0] * d[0] + d[1] * d[1] - (slope * slope) * d[2] * d[2]
+        b = o[0] * d[0] + o[1] * d[1] - (slope * k) * d[2]
+        disc = b * b - a * (o[0] * o[0] + o[1] * o[1] - k * k)
+        t = np.full(a.shape, np.inf)
+        hit = np.flatnonzero(disc > 0)
+        a, b, dz, root = a.flat[hit], b.flat[hit], d[2].flat[hit], np.sqrt(disc.flat[hit])
+        a = np.where(np.abs(a) < 1e-14, 1e-14, a)
+        best = np.full(hit.shape, np.inf)
+        for candidate in ((-b - root) / a, (-b + root) / a):
+            z = o[2] + candidate * dz
+            valid = (candidate > 0) & (np.abs(z) <= self.half_height) & (rho0 + slope * z >= 0)
+            best = np.where(valid & (candidate < best), candidate, best)
+        t.flat[hit] = best
+        return t
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ellipsoid(Solid):
+class Ellipsoid(Placed):
     """An ellipsoid with semi-axes ``semi``, metres; its chart is longitude and colatitude."""
 
     semi: ndarray
 
-    faces = ("skin",)  # pyright: ignore[reportAssignmentType]
+    faces = ("skin",)
 
     @property
     def extent(self) -> ndarray:
@@ -239,6 +245,29 @@ class Ellipsoid(Solid):
         u = np.arctan2(q[..., 1], q[..., 0]) / (2 * np.pi) % 1.0
         v = np.arccos(np.clip(q[..., 2], -1.0, 1.0)) / np.pi
         return np.zeros(u.shape, int), u, v
+
+    def normal(self, p: ndarray) -> ndarray:
+        """Outward unit normals at local points. [N, 3]"""
+        n = p / self.semi**2
+        return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-12)
+
+    def intersect(self, o: ndarray, d: Sequence[ndarray]) -> ndarray:
+        """Nearest t > 0 with o + t d on the surface, local frame; inf if there is none.
+
+        Of the unit sphere |o + t d|^2 = 1 in units of the semi-axes, the entering root.
+        """
+        o, d = o / self.semi, [c / s for c, s in zip(d, self.semi, strict=True)]
+        a = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+        b = o[0] * d[0] + o[1] * d[1] + o[2] * d[2]
+        disc = b * b - a * (o @ o - 1)
+        hit = disc > 0
+        t = np.full(a.shape, np.inf)
+        t[hit] = (-b[hit] - np.sqrt(disc[hit])) / a[hit]
+        t[t <= 0] = np.inf
+        return t
+
+
+Solid = Box | Frustum | Ellipsoid
 
 
 def face_axes(face: str) -> tuple[ndarray, ndarray, ndarray]:
@@ -306,17 +335,15 @@ def signed_distance(
     return out
 
 
-def plain(*colour: int | float, texel_m: float = 0.02, gloss: float = 0.0, glow: float = 0.0) -> Paint:
+def plain(*colour: int | float, texel_m: float = 0.02, glow: float = 0.0) -> Paint:
     """One colour."""
     r, g, b = colour
-    return Paint(colour=(r, g, b), texel_m=texel_m, gloss=gloss, glow=glow)
+    return Paint(colour=(r, g, b), texel_m=texel_m, glow=glow)
 
 
-def drawn(
-    texel_m: float, draw: Callable[..., ndarray], *options, gloss: float = 0.0, glow: float = 0.0, **more
-) -> Paint:
+def drawn(texel_m: float, draw: Callable[..., ndarray], *options, glow: float = 0.0, **more) -> Paint:
     """A texture ``draw(width_px, height_px, texel_m, rng, *options)``, one of ``drawings``."""
-    return Paint(draw=lambda *size: draw(*size, *options, **more), texel_m=texel_m, gloss=gloss, glow=glow)
+    return Paint(draw=lambda *size: draw(*size, *options, **more), texel_m=texel_m, glow=glow)
 
 
 def _painted(

@@ -1,12 +1,9 @@
 """Frames that arrive over time: reading ahead, growing folders, depth cameras, dropping frames."""
 
-from .cameras import AzureKinect as AzureKinect
 from .cameras import CameraNotFoundError as CameraNotFoundError
-from .cameras import DepthCamera as DepthCamera
 from .cameras import RealSense as RealSense
 from .frame_queue import POLICIES as POLICIES
 from .frame_queue import BackgroundFrames as BackgroundFrames
-from .frame_queue import FrameQueue as FrameQueue
 from .frame_queue import LiveSource as LiveSource
 from .frame_queue import Policy as Policy
 from .frame_queue import SelectedFrames as SelectedFrames

@@ -1,4 +1,4 @@
-"""Frames that arrive over time: their source, a thread that reads them ahead, the queue between, and selecting them."""
+"""Frames that arrive over time: their source, a thread that reads them ahead, and selecting them."""
 
 import abc
 import contextvars
@@ -7,7 +7,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Literal
+from typing import Literal
 
 from ...checks import check_name
 from ...config import DataConfig
@@ -16,13 +16,11 @@ from ..adjust.repair import resized_camera, within_depth
 from ..adjust.resize import resize_frame
 from ..sequence import BadFrameError, Sequence, SequenceError
 
-Policy = Literal["all", "queue", "latest", "drop"]
+Policy = Literal["all", "latest"]
 
 POLICIES: dict[Policy, str] = {
-    "all": "every frame is mapped; the source waits while the queue is full (files)",
-    "queue": "a full queue drops its oldest frame; the source never waits",
-    "latest": "only the newest frame waits; the one it replaces is dropped",
-    "drop": "a frame that arrives while another is being mapped or waits is dropped",
+    "all": "every frame is mapped; the source waits while a few frames wait (files)",
+    "latest": "only the newest frame waits; the one it replaces is dropped (cameras)",
 }
 """What happens to frames that arrive faster than they are mapped."""
 
@@ -50,118 +48,6 @@ class LiveSource(abc.ABC):
         """End the iteration after the frame that is being read."""
 
 
-MAX_ERRORS = 64
-"""Largest number of waiting errors of unusable frames; the policy does not apply to them."""
-
-
-class FrameQueue:
-    """Passes frames from one thread to another, in order; holds at most ``size`` of them.
-
-    Args:
-        policy: Which frames are dropped when they arrive faster than they are taken, see ``POLICIES``.
-        size: Frames that may wait, for "all" and "queue"; with "latest" and "drop" it is one.
-
-    Raises:
-        KeyError: unknown policy. ValueError: ``size`` is below 1.
-    """
-
-    def __init__(self, policy: str = "all", size: int = 4):
-        check_name("policy", policy, POLICIES)
-        if size < 1:
-            raise ValueError(f"the queue must hold at least 1 frame, got {size}")
-        self.policy = policy
-        self.size = size if policy in ("all", "queue") else 1
-        self.n_received = 0
-        """Frames that arrived, dropped ones included."""
-        self.n_dropped = 0
-        """Frames that were dropped."""
-        self._frames: deque[Frame | SequenceError] = deque()
-        self._n_waiting = 0
-        self._changed = threading.Condition()
-        self._busy = False
-        self._ended = False
-        self._closed = False
-        self._error: BaseException | None = None
-
-    @property
-    def closed(self) -> bool:
-        """Whether the consumer has closed the queue, so that no more frames are needed."""
-        return self._closed
-
-    @property
-    def n_waiting(self) -> int:
-        """Frames that wait now."""
-        return self._n_waiting
-
-    def put(self, frame: Frame) -> None:
-        """Add a frame; with "all" this waits for room, unless the queue is closed."""
-        with self._changed:
-            if self.policy == "all":
-                self._changed.wait_for(lambda: self._closed or self._n_waiting < self.size)
-            if self._closed:
-                return
-            self.n_received += 1
-            if self._n_waiting >= self.size or (self.policy == "drop" and self._busy):
-                self.n_dropped += 1
-                if self.policy == "drop":
-                    return
-                self._drop_oldest()
-            self._frames.append(frame)
-            self._n_waiting += 1
-            self._changed.notify_all()
-
-    def put_error(self, error: SequenceError) -> None:
-        """Add the error of a frame that cannot be used; ``get`` raises it in order, and it is never dropped."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._closed or len(self._frames) - self._n_waiting < MAX_ERRORS)
-            self._frames.append(error)
-            self._changed.notify_all()
-
-    def end(self, error: BaseException | None = None) -> None:
-        """Declare the end; ``error`` is raised after the last frame was taken."""
-        with self._changed:
-            self._ended, self._error = True, error
-            self._changed.notify_all()
-
-    def get(self, timeout_s: float | int | None = None) -> Frame | None:
-        """The next frame, or None if none came within ``timeout_s``.
-
-        Raises:
-            StopIteration: the source has ended. SequenceError: the next frame cannot be used. BaseException: the error
-                that ended the source.
-        """
-        with self._changed:
-            self._busy = False
-            self._changed.wait_for(lambda: self._frames or self._ended or self._closed, timeout_s)
-            if self._closed:
-                raise StopIteration
-            if self._frames:
-                item = self._frames.popleft()
-                self._n_waiting -= isinstance(item, Frame)
-                self._busy = isinstance(item, Frame)
-                self._changed.notify_all()
-                if isinstance(item, SequenceError):
-                    raise item
-                return item
-            if not self._ended:
-                return None
-            error, self._error = self._error, None
-            raise StopIteration if error is None else error
-
-    def close(self) -> None:
-        """Close the queue: waiting frames are discarded, and a producer that waits for room continues."""
-        with self._changed:
-            self._closed = True
-            self._frames.clear()
-            self._n_waiting = 0
-            self._changed.notify_all()
-
-    def _drop_oldest(self) -> None:
-        oldest = next(i for i, item in enumerate(self._frames) if isinstance(item, Frame))
-        del self._frames[oldest]
-        self._n_waiting -= 1
-
-
 log = logging.getLogger(__name__)
 
 POLL_S = 0.1
@@ -171,7 +57,7 @@ JOIN_S = 5.0
 
 
 class BackgroundFrames:
-    """Frames of any iterable, read on a separate thread (itself an iterator, and a context manager).
+    """Frames of any iterable, read on a separate thread (itself an iterator; ``close`` it).
 
     For a frame that cannot be used its error is raised, and the iteration can continue. Any other exception of the
     source is raised here after the frames that came before it. The thread starts with the first ``next``.
@@ -179,9 +65,12 @@ class BackgroundFrames:
     Args:
         frames: What to read. If it has a method ``stop``, it is called by ``close``.
         policy: Which frames are dropped when they arrive faster than they are taken, see ``POLICIES``.
-        size: Frames that may wait.
+        size: Frames that may wait with "all".
         until: Called while no frame is available; True ends the iteration.
         bad: Types of errors after which the source can continue.
+
+    Raises:
+        KeyError: unknown policy.
     """
 
     def __init__(
@@ -193,31 +82,47 @@ class BackgroundFrames:
         until: Callable[[], bool] = lambda: False,
         bad: type[SequenceError] = BadFrameError,
     ):
-        self.queue = FrameQueue(policy, size)
+        check_name("policy", policy, POLICIES)
+        self._waits, self._size = policy == "all", size if policy == "all" else 1
+        self.n_received = 0
+        """Frames that arrived, dropped ones included."""
+        self.n_dropped = 0
+        """Frames that were dropped."""
         self._source, self._until, self._bad = frames, until, bad
+        self._waiting: deque[Frame | SequenceError] = deque()
+        self._changed = threading.Condition()
+        self._ended = self._closed = False
+        self._error: BaseException | None = None
         context = contextvars.copy_context()  # a new thread does not take over the chosen backend by itself
         self._thread = threading.Thread(target=context.run, args=(self._work,), name="frames", daemon=True)
-
-    def __enter__(self) -> "BackgroundFrames":
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.close()
 
     def __iter__(self) -> "BackgroundFrames":
         return self
 
     def __next__(self) -> Frame:
-        if not self._thread.ident and not self.queue.closed:
+        if not self._thread.ident and not self._closed:
             self._thread.start()
-        while (frame := self.queue.get(POLL_S)) is None:
-            if self._until():
+        with self._changed:
+            while not (self._waiting or self._ended or self._closed):
+                if not self._changed.wait(POLL_S) and self._until():
+                    raise StopIteration
+            if self._closed:
                 raise StopIteration
-        return frame
+            if not self._waiting:
+                error, self._error = self._error, None
+                raise StopIteration if error is None else error
+            item = self._waiting.popleft()
+            self._changed.notify_all()
+        if isinstance(item, SequenceError):
+            raise item
+        return item
 
     def close(self) -> None:
         """End the thread and discard waiting frames. A source that does not return is abandoned."""
-        self.queue.close()
+        with self._changed:
+            self._closed = True
+            self._waiting.clear()
+            self._changed.notify_all()
         stop = getattr(self._source, "stop", None)
         if callable(stop):
             stop()
@@ -238,16 +143,26 @@ class BackgroundFrames:
                 close()
         except Exception as e:
             error = error or e
-        self.queue.end(error)
+        with self._changed:
+            self._ended, self._error = True, error
+            self._changed.notify_all()
 
     def _pass_on(self, frames: Iterator[Frame]) -> None:
-        while not self.queue.closed:
+        while not self._closed:
             try:
-                self.queue.put(next(frames))
+                item: Frame | SequenceError = next(frames)
             except StopIteration:
                 return
             except self._bad as e:
-                self.queue.put_error(e)
+                item = e
+            with self._changed:
+                if self._waits:
+                    self._changed.wait_for(lambda: self._closed or len(self._waiting) < self._size)
+                elif len(self._waiting) >= self._size:
+                    self.n_dropped += isinstance(self._waiting.popleft(), Frame)
+                self.n_received += isinstance(item, Frame)
+                self._waiting.append(item)
+                self._changed.notify_all()
 
 
 class FramesInOrder:
@@ -255,12 +170,6 @@ class FramesInOrder:
 
     def __init__(self, sequence: Sequence, start: int = 0):
         self._sequence, self._next = sequence, start
-
-    def __enter__(self) -> "FramesInOrder":
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.close()
 
     def __iter__(self) -> "FramesInOrder":
         return self

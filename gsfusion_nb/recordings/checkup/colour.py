@@ -1,12 +1,256 @@
-"""Findings on the position of the colour images relative to the depth images, in space and in time."""
+"""Whether colour edges lie on depth edges; searched over shift, scale, mirroring and whole frames of time; and the
+findings on it.
+"""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
 
 from ...config import RepairConfig
 from ...types import Camera
-from .edges import ColourFit, ColourMotion
 from .report import Finding
+from .sample import FrameFacts, Sample
+
+REACH_PX = 24
+"""Largest shift that is searched, pixels of the small images."""
+ANCHORS = 12
+TIME_REACH = 4
+JUMP = 0.08
+"""A pixel is on an edge if it is nearer than its neighbour by this share of its depth."""
+_SCALES = (0.84, 0.88, 0.92, 0.96, 1.0, 1.04, 1.08, 1.12, 1.16)
+_EDGES = 60
+"""Fewest pixels on edges per frame."""
+_AS_WELL = 3.0
+_BETTER = 1.15
+"""Another score is accepted if it is this much higher than the score as read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourFit:
+    """Position of the colour images relative to the depth images."""
+
+    shift_px: tuple[float, float]
+    """Shift of the colour image relative to depth, right and down, pixels of the full image."""
+    scale: float
+    """Size of objects in colour / in depth, about the image centre."""
+    mirror: str
+    """"none", "x", "y" or "xy"."""
+    shift_frames: int
+    """The colour of frame i + this number fits the depth of frame i."""
+    score: float
+    """Mean colour contrast on the depth edges under the best of all these, relative to the neighbourhood."""
+    peak: float
+    """How many standard deviations the best shift is above the others."""
+    pixel: float
+    """Size of a compared pixel, pixels of the full image."""
+    may_be_time: bool = False
+    """Whether a time offset of up to half a frame explains the shifts of the single frames as well."""
+
+
+def fit_colour(sample: Sample) -> ColourFit | None:
+    """Find the position of colour relative to depth; None with fewer than 60 edge pixels per frame.
+
+    A shift is measured where the image moves slowly, and a time where it moves fast: in one stretch of even motion both
+    look the same.
+    """
+    slow, fast = _anchors(sample)
+    edges = [depth_edges(f.depth_m.numpy()) for f in slow]
+    if not edges or np.mean([e.sum() for e in edges]) < _EDGES:
+        return None
+    plain = [colour_contrast(f.grey, e.shape) for f, e in zip(slow, edges, strict=True)]
+    transforms, speeds = _transforms(plain), [_speed(f, sample.by_place) for f in slow]
+    spatial = _surface(edges, transforms)
+    best_time, time_score, now_score = _best_time(fast, sample.by_place)
+    options = [(*_scaled_peak(edges, transforms), "none")]
+    for name, flip in (("x", np.s_[:, ::-1]), ("y", np.s_[::-1]), ("xy", np.s_[::-1, ::-1])):
+        surface = _surface(edges, _transforms([g[flip] for g in plain]))
+        options.append((*peak_of(surface), 1.0, name))
+    score, peak, shift, scale, mirror = max(options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7))
+    near, at_near = _near(spatial)
+    frames = 0
+    if mirror == "none" and score < _BETTER * near:  # within the noise: keep as read
+        score, shift, scale = near, at_near, 1.0
+    if best_time and time_score > max(_BETTER * now_score, 0.9 * score):
+        score, shift, scale, mirror, frames = time_score, (0.0, 0.0), 1.0, "none", best_time
+    small = sample.camera.width / edges[0].shape[1]
+    # a subsampled depth pixel is at the centre of its cell only if the step is odd
+    offset = 0.5 if round(small) % 2 == 0 and not frames else 0.0
+    return ColourFit(
+        shift_px=(shift[0] * small + offset, shift[1] * small + offset),
+        scale=scale,
+        mirror=mirror,
+        shift_frames=frames,
+        score=score,
+        peak=peak,
+        pixel=small,
+        may_be_time=_may_be_time(
+            [peak_of(_surface([E], [G]))[2] for E, G in zip(edges, transforms, strict=True)], speeds
+        ),
+    )
+
+
+def _may_be_time(shifts: list[tuple[float, float]], speeds: list[np.ndarray]) -> bool:
+    """Whether shifts in single frames are as near to a multiple of the image's speed as to their median."""
+    s, v = np.array(shifts), np.array(speeds)
+    lag = np.clip((s * v).sum() / max((v * v).sum(), 1e-9), -0.5, 0.5)
+    off_time, off_shift = (np.median(np.linalg.norm(s - x, axis=1)) for x in (lag * v, np.median(s, axis=0)))
+    return bool(off_time < _AS_WELL * max(off_shift, 0.5))
+
+
+def _speed(f: FrameFacts, there: dict[int, FrameFacts]) -> Float[np.ndarray, " 2"]:
+    """Motion of the image's content to the next frame by phase correlation, pixels of the depth images."""
+    import cv2
+
+    a, b = (cv2.GaussianBlur(g.grey.astype(np.float32), (0, 0), 1.5) for g in (f, there.get(f.place + 1, f)))
+    moved = cv2.phaseCorrelate(a, b, cv2.createHanningWindow(a.shape[1::-1], cv2.CV_32F))[0]
+    return np.array(moved) * (f.depth_m.shape[1] / a.shape[1])
+
+
+def _anchors(sample: Sample) -> tuple[list[FrameFacts], list[FrameFacts]]:
+    """Of each of a few stretches the frame in which the image moves slowest, and the one in which it moves fastest."""
+    there = sample.by_place
+    inner = [f for f in sample.frames if all(f.place + k in there for k in (-TIME_REACH, TIME_REACH))]
+    chosen = inner or sample.frames
+
+    def motion(f: FrameFacts) -> float:
+        after = there.get(f.place + 1, f)
+        return float(np.abs(after.grey.astype(np.float32) - f.grey).mean())
+
+    stretches = [part for part in np.array_split(np.arange(len(chosen)), ANCHORS) if len(part)]
+    ordered = [sorted((chosen[i] for i in part), key=motion) for part in stretches]
+    return [part[0] for part in ordered], [part[-1] for part in ordered]
+
+
+def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """1 on pixels that are nearer than a neighbour by a depth jump, else 0.
+
+    First, narrow holes are filled with the farther of their two sides: beside an object a structured-light camera does
+        not measure the background, and the edge belongs to the object.
+    """
+    found = np.zeros(depth_m.shape, bool)
+    for turned, out in ((depth_m, found), (depth_m.T, found.T)):
+        filled = _closed(turned)
+        a, b = filled[:, :-1], filled[:, 1:]
+        known = (a > 0) & (b > 0)
+        out[:, :-1] |= known & (b > a * (1 + JUMP))
+        out[:, 1:] |= known & (a > b * (1 + JUMP))
+    return found.astype(np.float32)
+
+
+def colour_contrast(grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
+    """Gradient of the grey image divided by its mean in the neighbourhood (so that texture has little weight), at most
+    4."""
+    import cv2
+
+    image = grey.astype(np.float32)
+    if image.shape != tuple(shape):
+        image = cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8)
+    size = np.hypot(cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1))
+    return np.asarray(np.minimum(size / (cv2.blur(size, (31, 31)) + 4), 4), dtype=np.float32)
+
+
+def _closed(depth_m: np.ndarray, widest: int = 10) -> np.ndarray:
+    """Image rows in which holes of at most ``widest`` pixels are filled with the farther side."""
+    h, w = depth_m.shape
+    column = np.arange(w)[None]
+    left = np.maximum.accumulate(np.where(depth_m > 0, column, -w), axis=1)
+    right = np.minimum.accumulate(np.where(depth_m > 0, column, 2 * w)[:, ::-1], axis=1)[:, ::-1]
+    narrow = (depth_m <= 0) & (left >= 0) & (right < w) & (right - left <= widest)
+    row = np.arange(h)[:, None]
+    sides = depth_m[row, np.clip(left, 0, w - 1)], depth_m[row, np.clip(right, 0, w - 1)]
+    return np.where(narrow, np.maximum(*sides), depth_m)
+
+
+def _transforms(contrast: list[np.ndarray]) -> list[np.ndarray]:
+    """Fourier transforms of the contrast images without their mean, padded for the shifts."""
+    return [np.fft.rfft2(G - G.mean(), _size(G.shape)) for G in contrast]
+
+
+def _size(shape: tuple[int, ...]) -> tuple[int, ...]:
+    import cv2
+
+    return tuple(cv2.getOptimalDFTSize(n + 2 * REACH_PX) for n in shape)
+
+
+def _surface(edges: list[np.ndarray], transforms: list[np.ndarray]) -> np.ndarray:
+    """Mean contrast on the edges for every shift of the contrast images, minus the mean contrast of all pixels. [2R+1,
+    2R+1]"""
+    R, size = REACH_PX, _size(edges[0].shape)
+    products = [np.conj(np.fft.rfft2(E, size)) * G for E, G in zip(edges, transforms, strict=True)]
+    total = np.fft.irfft2(sum(products), size)
+    return np.roll(total, (R, R), (0, 1))[: 2 * R + 1, : 2 * R + 1] / max(sum(float(E.sum()) for E in edges), 1.0)
+
+
+def peak_of(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
+    """Height, height in standard deviations, and position of the highest peak, to fractions of a pixel by parabolas."""
+    j, i = np.unravel_index(int(surface.argmax()), surface.shape)
+    peak = float((surface[j, i] - surface.mean()) / (surface.std() + 1e-9))
+    return float(surface[j, i]), peak, _top_of(surface, int(j), int(i))
+
+
+def _top_of(surface: np.ndarray, j: int, i: int) -> tuple[float, float]:
+    """Position of the peak at row ``j`` and column ``i``, to fractions of a pixel."""
+    place = []
+    for at, line in ((i, surface[j]), (j, surface[:, i])):
+        d = 0.0
+        if 0 < at < len(line) - 1:
+            bend = line[at - 1] - 2 * line[at] + line[at + 1]
+            d = float(np.clip(0.5 * (line[at - 1] - line[at + 1]) / bend, -1, 1)) if bend < 0 else 0.0
+        place.append(float(at + d - REACH_PX))
+    return place[0], place[1]
+
+
+def _near(surface: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """Height and position of the highest of the nine values around zero shift."""
+    R = REACH_PX
+    middle = surface[R - 1 : R + 2, R - 1 : R + 2]
+    j, i = np.unravel_index(int(middle.argmax()), middle.shape)
+    place = _top_of(surface, R - 1 + int(j), R - 1 + int(i))
+    return float(middle[j, i]), place
+
+
+def _scaled_peak(
+    edges: list[np.ndarray], transforms: list[np.ndarray]
+) -> tuple[float, float, tuple[float, float], float]:
+    """The best peak over scales of the colour image, in two rounds."""
+
+    def at(scale: float) -> tuple[float, float, tuple[float, float], float]:
+        return (*peak_of(_surface([_scaled(E, scale) for E in edges], transforms)), scale)
+
+    best = max((at(s) for s in _SCALES), key=lambda t: t[0])
+    for step in (0.02, 0.01, 0.005):
+        best = max((best, at(best[3] - step), at(best[3] + step)), key=lambda t: t[0])
+    return best
+
+
+def _scaled(E: np.ndarray, scale: float) -> np.ndarray:
+    if scale == 1.0:
+        return E
+    h, w = E.shape
+    y, x = np.nonzero(E)
+    x = np.rint((x - (w - 1) / 2) * scale + (w - 1) / 2).astype(int)
+    y = np.rint((y - (h - 1) / 2) * scale + (h - 1) / 2).astype(int)
+    inside = (x >= 0) & (x < w) & (y >= 0) & (y < h)
+    out = np.zeros_like(E)
+    out[y[inside], x[inside]] = 1
+    return out
+
+
+def _best_time(anchors: list[FrameFacts], there: dict[int, FrameFacts]) -> tuple[int, float, float]:
+    """The frame whose colour fits best without a shift in the image, its score, and that of the frame itself."""
+    edges = {f.place: depth_edges(f.depth_m.numpy()) for f in anchors}
+    scores = {0: 0.0}
+    for k in range(-TIME_REACH, TIME_REACH + 1):
+        both = [(edges[f.place], there[f.place + k]) for f in anchors if f.place + k in there]
+        if len(both) >= max(1, len(anchors) // 2):
+            contrasts = [(E, colour_contrast(f.grey, E.shape)) for E, f in both]
+            scores[k] = sum(float((E * (G - G.mean())).sum() / max(E.sum(), 1)) for E, G in contrasts) / len(both)
+    best = max(scores, key=scores.__getitem__)
+    return best, scores[best], scores[0]
+
 
 SHIFT_LIMITS = ((3.0, 1.2), (5.0, 2.0))
 """Shifts from which a recording is doubtful and wrong, in 640ths of the image width, and in compared pixels (the larger
@@ -15,195 +259,62 @@ SCALE_DOUBTFUL = 0.015
 """Registered recordings measure 0 to 0.005."""
 _CLEAR_PEAK = 5.0
 """Smallest peak, in standard deviations, that counts as a shift; real ones have 6 and more."""
-OF_OTHER_FRAMES = "of_other_frames"
-"""Among the numbers of the registration's finding where colour and depth images of different frames were paired."""
-_IN_ORDER = 0.5
-"""Share of frames whose most similar colour image is a neighbour in time: 0.99 to 1 in order, 0 shuffled."""
-_UNRELATED_PEAK, _UNRELATED_SCORE = 5.0, 0.4
-"""Below both, colour has no edges on the depth edges under any shift: wrongly paired frames give up to 4 and 0.2,
-registered ones 6 to 10 and 0.9 to 1.4."""
+_UNRELATED_SCORE = 0.4
+"""With no clear peak either, colour has no edges on the depth edges under any shift: wrongly paired frames give up to
+4 and 0.2, registered ones 6 to 10 and 0.9 to 1.4."""
 
 
-_LAG_SEEN = (1.5, 1.2)
-"""A time offset is reported if it moves the edges by this much at the fastest motion, in 640ths of the image width and
-in compared pixels (the larger counts: edges cannot be placed better; clean recordings measure up to 1), ..."""
-_LAG_SURE, _SHIFT_SURE = 3.0, 3.0
-"""... and if it is this many times its standard error; likewise a shift."""
-_VAGUE_LAG = 0.25
-"""Standard error from which on a time offset cannot be known, frames."""
-_FEW_WINDOWS = 6
-_TOGETHER = 0.5
-"""Correlation of the motion of colour and depth images from which on they belong together."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ColourEvidence:
-    """What was measured of the colour images beside the depth images."""
-
-    fit: ColourFit | None
-    motion: ColourMotion | None
-    order: float | None
-    """Result of ``in_order``."""
-    together: float | None
-    """Result of ``moving_together``."""
-    step_s: float
-    """Time between frames, seconds; 0 where it is unknown."""
-
-
-def registration_findings(evidence: ColourEvidence, camera: Camera) -> tuple[RepairConfig, list[Finding]]:
+def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[RepairConfig, list[Finding]]:
     """Findings on the position of colour relative to depth, in space and in time; ``camera`` is that of the images."""
-    fit, order = evidence.fit, evidence.order
-    belongs = evidence.together is not None and evidence.together > _TOGETHER
-    mixed = order is not None and order < _IN_ORDER and not belongs
-    if fit is None and mixed:
-        return RepairConfig(), [_mixed_up({"in_order": order or 0.0})]
+    none, names = RepairConfig(), ("registration", "colour time")
     if fit is None:
         text = "Cannot be known from these frames: too few depth edges to compare with colour."
-        return RepairConfig(), [Finding(name, "unknown", text) for name in ("registration", "colour time")]
-    numbers = {
-        "shift_x_px": fit.shift_px[0],
-        "shift_y_px": fit.shift_px[1],
-        "scale": fit.scale,
-        "contrast_on_edges": fit.score,
-        "contrast_as_read": fit.score_as_read,
-        "peak": fit.peak,
-    }
-    unrelated = fit.score < _UNRELATED_SCORE and fit.peak < _UNRELATED_PEAK and evidence.motion is None
-    if mixed or (unrelated and not belongs):
-        return RepairConfig(), [_mixed_up(numbers)]
-    if unrelated:
-        return RepairConfig(), [_not_registered(numbers)]
+        return none, [Finding(name, "unknown", text) for name in names]
+    shift = math.hypot(*fit.shift_px)
+    clear = fit.peak >= _CLEAR_PEAK
+    if not clear and fit.score < _UNRELATED_SCORE:
+        text = (
+            "The colour images do not lie on the depth images under any shift, scale, mirroring or time: they are "
+            "those of other frames, or of a second camera that is not registered."
+        )
+        repair = "pair every depth image with the colour image of its time; register the cameras with their calibration"
+        return none, [Finding("registration", "wrong", text, repair)]
+    time = Finding("colour time", "ok", "Colour and depth belong to the same frame.")
+    repair = none
     if fit.shift_frames:
-        repair, time = _whole_frames(fit)
-        return repair, [_placed(fit.peak >= _CLEAR_PEAK, fit.shift_px, numbers), time]
-    repair, space = _space_finding(fit, evidence.motion, camera, numbers)
-    if repair.rgb_mirror != "none" or repair.rgb_scale != 1:
-        text = "Cannot be known before the colour image lies on the depth image: its edges move with their place in it."
-        return repair, [space, Finding("colour time", "unknown", text)]
-    return repair, [space, _part_of_a_frame(evidence, camera)]
-
-
-def _mixed_up(numbers: dict[str, float]) -> Finding:
-    repair = "pair every depth image with the colour image of its time (names, order, association)"
-    text = "The colour images do not belong to the depth images: their order or their edges do not fit."
-    return Finding("registration", "wrong", text, numbers | {OF_OTHER_FRAMES: 1.0}, repair)
-
-
-def _not_registered(numbers: dict[str, float]) -> Finding:
-    repair = "register colour to depth with the cameras' calibration, or record with the driver's alignment on"
-    text = (
-        "Colour is not registered to depth: both show the same motion, so they belong together, but no shift, scale or "
-        "mirroring brings their edges together. The images are those of two cameras."
-    )
-    return Finding("registration", "wrong", text, numbers, repair)
-
-
-def _placed(clear: bool, shift_px: tuple[float, float], numbers: dict[str, float]) -> Finding:
-    """The finding where nothing is wrong, or nothing can be seen."""
+        repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
+        side = "later" if fit.shift_frames > 0 else "earlier"
+        text = f"A frame's depth image belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}."
+        time = Finding("colour time", "wrong", text, repair.flags)
     if not clear:
         text = "Cannot be known from these frames: the edges of colour and depth are too few or too similar to compare."
-        return Finding("registration", "unknown", text, numbers)
-    text = f"Colour edges lie on depth edges within {math.hypot(*shift_px):.1f} pixels."
-    return Finding("registration", "ok", text, numbers)
-
-
-def _space_finding(
-    fit: ColourFit, motion: ColourMotion | None, camera: Camera, numbers: dict[str, float]
-) -> tuple[RepairConfig, Finding]:
-    """Is colour shifted, scaled or mirrored, whatever its time?"""
-    doubtful, wrong_from = (max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS)
-    only_shifted = fit.mirror == "none" and abs(fit.scale - 1) <= SCALE_DOUBTFUL
-    clear = fit.peak >= _CLEAR_PEAK
-    if motion is not None and only_shifted and _lag_is_seen(motion, fit, camera):
-        fit, clear = replace(fit, shift_px=motion.shift_px), True  # the time offset smears the peak of all frames
-    shift = math.hypot(*fit.shift_px)
-    if not clear or (only_shifted and shift < doubtful):
-        return RepairConfig(), _placed(clear, fit.shift_px, numbers)
-    if only_shifted and _may_be_time(motion, fit, shift, camera):
+        return repair, [Finding("registration", "unknown", text), time]
+    doubtful, wrong = (max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS)
+    changed = fit.mirror != "none" or abs(fit.scale - 1) > SCALE_DOUBTFUL
+    if not changed and shift < doubtful:
+        text = f"Colour edges lie on depth edges within {shift:.1f} pixels."
+        return repair, [Finding("registration", "ok", text), time]
+    if not changed and fit.may_be_time:
         text = (
             f"Cannot be known from these frames: colour edges lie {shift:.1f} pixels beside depth edges, but in so few "
             "kinds of motion a shift and a time offset look alike."
         )
-        return RepairConfig(), Finding("registration", "unknown", text, numbers)
+        return repair, [Finding("registration", "unknown", text), time]
     repair, text = _registration_repair(fit, shift >= doubtful)
-    verdict = "wrong" if not only_shifted or shift >= wrong_from else "doubtful"
-    return repair, Finding("registration", verdict, text, numbers, repair.flags)
-
-
-def _may_be_time(motion: ColourMotion | None, fit: ColourFit, shift_px: float, camera: Camera) -> bool:
-    """Whether a time offset of less than a frame could be what looks like a shift."""
-    if motion is None or motion.speed_px < shift_px:
-        return False
-    moved = abs(motion.lag_frames) * motion.speed_px if _lag_is_seen(motion, fit, camera) else 0.0
-    return (
-        not motion.separable
-        or motion.windows < _FEW_WINDOWS
-        or shift_px < max(2 * moved, _SHIFT_SURE * motion.shift_error_px)
-    )
-
-
-def _lag_is_seen(motion: ColourMotion, fit: ColourFit, camera: Camera) -> bool:
-    far = abs(motion.lag_frames) * motion.speed_px > max(_LAG_SEEN[0] * camera.width / 640, _LAG_SEEN[1] * fit.pixel)
-    return motion.separable and far and abs(motion.lag_frames) > _LAG_SURE * motion.lag_error_frames
-
-
-def _part_of_a_frame(evidence: ColourEvidence, camera: Camera) -> Finding:
-    """Were colour and depth taken at the same time, to a part of a frame?"""
-    fit, motion, step_s = evidence.fit, evidence.motion, evidence.step_s
-    if fit is None or motion is None or not motion.separable or motion.lag_error_frames > _VAGUE_LAG:
-        text = (
-            "Colour and depth belong to the same frame; a smaller time offset cannot be known: too few kinds of motion."
-        )
-        return Finding("colour time", "unknown", text, {"shift_frames": 0.0})
-    lag, error = abs(motion.lag_frames), motion.lag_error_frames
-    numbers = {
-        "shift_frames": 0.0,
-        "lag_frames": motion.lag_frames,
-        "lag_error_frames": error,
-        "speed_px": motion.speed_px,
-    }
-    if not _lag_is_seen(motion, fit, camera):
-        text = f"Colour and depth were taken at the same time, within {lag + 2 * error:.2f} frames."
-        return Finding("colour time", "ok", text, numbers)
-    known = f"{lag:.2f} ± {error:.2f} frames" + (f" ({1000 * lag * step_s:.0f} ms)" if step_s else "")
-    text = (
-        f"Colour was taken {known} {'later' if motion.lag_frames > 0 else 'earlier'} than depth: over {motion.windows} "
-        f"windows its edges move against those of depth with the speed of the image, up to {lag * motion.speed_px:.1f} "
-        "pixels."
-    )
-    repair = (
-        "no option moves depth by a part of a frame; gsfusion-nb offset finds the number that gives poses the time of "
-        "the colour images; turn the camera more slowly when recording"
-    )
-    return Finding("colour time", "doubtful", text, numbers, repair)
-
-
-def _whole_frames(fit: ColourFit) -> tuple[RepairConfig, Finding]:
-    """The colour image of another frame fits better."""
-    repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
-    side = "later" if fit.shift_frames > 0 else "earlier"
-    text = f"A frame's depth image belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}."
-    return repair, Finding("colour time", "wrong", text, {"shift_frames": float(fit.shift_frames)}, repair.flags)
+    verdict = "wrong" if changed or shift >= wrong else "doubtful"
+    return repair, [Finding("registration", verdict, text, repair.flags), time]
 
 
 def _registration_repair(fit: ColourFit, shifted: bool) -> tuple[RepairConfig, str]:
-    moved = shifted or abs(fit.scale - 1) > SCALE_DOUBTFUL
+    scaled = abs(fit.scale - 1) > SCALE_DOUBTFUL
+    x, y = fit.shift_px if shifted or scaled else (0.0, 0.0)
     repair = RepairConfig(
         rgb_mirror=fit.mirror,  # pyright: ignore[reportArgumentType]
-        rgb_shift_x_px=round(fit.shift_px[0], 1) if moved else 0.0,
-        rgb_shift_y_px=round(fit.shift_px[1], 1) if moved else 0.0,
-        rgb_scale=fit.scale if abs(fit.scale - 1) > SCALE_DOUBTFUL else 1.0,
+        rgb_shift_x_px=round(x, 1),
+        rgb_shift_y_px=round(y, 1),
+        rgb_scale=fit.scale if scaled else 1.0,
     )
-    words = []
-    if fit.mirror != "none":
-        words.append({"x": "mirrored left to right", "y": "upside down", "xy": "rotated by 180 degrees"}[fit.mirror])
-    if repair.rgb_scale != 1:
-        words.append(f"{fit.scale:.2f} times as large")
-    if moved:
-        x, y = fit.shift_px
-        words.append(
-            f"shifted by {abs(x):.1f} pixels to the {'right' if x > 0 else 'left'} and {abs(y):.1f} "
-            f"{'down' if y > 0 else 'up'}"
-        )
-    note = "; a reader that registers depth with a calibration is better" if repair.rgb_scale != 1 else ""
-    return repair, f"The colour image is {', '.join(words)} compared with the depth image{note}."
+    mirrors = {"none": "", "x": "mirrored left to right", "y": "upside down", "xy": "rotated by 180 degrees"}
+    sides = f"{abs(x):.1f} pixels to the {'right' if x > 0 else 'left'} and {abs(y):.1f} {'down' if y > 0 else 'up'}"
+    words = [mirrors[fit.mirror], f"{fit.scale:.2f} times as large" * scaled, f"shifted by {sides}" * bool(x or y)]
+    return repair, f"The colour image is {', '.join(filter(None, words))} compared with the depth image."

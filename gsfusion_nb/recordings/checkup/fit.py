@@ -38,8 +38,8 @@ class CalibrationCorrection:
     """Added to the principal point, pixels of the full image."""
     shift_frames: float = 0.0
     """Poses are taken this many frames later."""
-    ray: bool = False
-    """Whether depth is the length of the ray."""
+    ray: float = 0.0
+    """1: depth is the length of the ray."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,13 +132,6 @@ def reproject(data: FitData, c: CalibrationCorrection) -> Reprojection:
     return Reprojection(uv_b=uv_b, residual=residual, known=known)
 
 
-def cost(data: FitData, c: CalibrationCorrection, tolerance: float) -> float:
-    """Mean of min(|residual| / tolerance, 1) over the points that fall on a valid depth; 1 if none does."""
-    found = reproject(data, c)
-    each = (found.residual.abs() / tolerance).clamp(max=1.0) * found.known
-    return (float(each.sum()) + 1e-9) / (float(found.known.sum()) + 1e-9)
-
-
 class Agreement(NamedTuple):
     """How well frames agree."""
 
@@ -152,7 +145,9 @@ def agreement(data: FitData, c: CalibrationCorrection) -> Agreement:
     """How well the pairs agree under a correction."""
     found = reproject(data, c)
     r = found.residual.abs()
-    share = float(((r < AGREES) & found.known).sum() / (data.depth_a > 0).sum().clamp_min(1))
+    posed = torch.isfinite(data.path(c.shift_frames)).all(dim=(1, 2))
+    there = (posed[data.rows[0]] & posed[data.rows[1]])[:, None] & (data.depth_a > 0)
+    share = float(((r < AGREES) & found.known).sum() / there.sum().clamp_min(1))
     error = (r * data.depth_a)[found.known]
     return Agreement(share, float(error.median()) * math.exp(c.log_scale) if len(error) else math.nan)
 
@@ -241,61 +236,37 @@ class FittedCorrection:
     """The best correction of one kind."""
 
     kind: str
-    correction: CalibrationCorrection
-    """Including the corrections adopted before."""
-    amount: float
-    """Largest change, in the field's unit."""
+    added: dict[str, float]
+    """What it adds to the fields of a correction."""
     ratio: float
     """Cost with the correction / cost without it; 1 means no gain."""
     uncertainty: float
     """Half the range in which the cost is within 2 per cent of its minimum, in the first field's unit."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class AdoptedCorrections:
-    """The corrections adopted, in order, and the fits of the last round."""
-
-    adopted: list[FittedCorrection]
-    last: list[FittedCorrection]
-
-    @property
-    def correction(self) -> CalibrationCorrection:
-        """All corrections together."""
-        return self.adopted[-1].correction if self.adopted else CalibrationCorrection()
-
-    def adopted_fit(self, kind: str) -> FittedCorrection | None:
-        """The correction of a kind, if it was adopted."""
-        return next((f for f in self.adopted if f.kind == kind), None)
-
-    def last_fit(self, kind: str) -> FittedCorrection | None:
-        """The fit of a kind in the last round."""
-        return next((f for f in self.last if f.kind == kind), None)
-
-    def cost_ratio(self, kind: str) -> float:
-        """What a kind of correction, adopted or only tried, leaves of the cost; NaN if it was not tried."""
-        fitted = self.adopted_fit(kind) or self.last_fit(kind)
-        return fitted.ratio if fitted else math.nan
+def together(fitted: abc.Iterable[FittedCorrection]) -> CalibrationCorrection:
+    """All these corrections in one."""
+    c = CalibrationCorrection()
+    for f in fitted:
+        c = replace(c, **{name: getattr(c, name) + value for name, value in f.added.items()})
+    return c
 
 
-def correct(data: FitData, *, rounds: int = 3, hurdle: float = 1.0) -> AdoptedCorrections:
-    """Adopt the kind of correction with the largest gain until none has any.
+def correct(data: FitData, *, rounds: int = 3) -> tuple[list[FittedCorrection], list[FittedCorrection]]:
+    """Adopt the kind of correction with the largest gain until none has any, or for so many ``rounds``.
 
-    Args:
-        data: The pairs.
-        rounds: Largest number of corrections.
-        hurdle: Continue after the first only if it reduced the cost below this share.
+    Returns:
+        The corrections adopted, in order, and the fits of all kinds in the last round.
     """
     adopted: list[FittedCorrection] = []
     last: list[FittedCorrection] = []
     for _ in range(rounds):
-        last = _fit_all(data, adopted[-1].correction if adopted else CalibrationCorrection())
-        helpful = [f for f in last if f.ratio < HELPS and f.amount > KINDS[f.kind].least]
+        last = _fit_all(data, together(adopted))
+        helpful = [f for f in last if f.ratio < HELPS and max(map(abs, f.added.values())) > KINDS[f.kind].least]
         if not helpful:
             break
         adopted.append(min(helpful, key=lambda f: f.ratio))
-        if adopted[-1].ratio > hurdle:
-            break
-    return AdoptedCorrections(adopted=adopted, last=last)
+    return adopted, last
 
 
 def _fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrection]:
@@ -308,12 +279,10 @@ def _fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrecti
             best, spread = search(f, start, kind, data.thinning * data.camera.width / 640)
         else:
             sizes = [_resized(data, start, k) for k in _SIZES]
-            best = min([replace(start, ray=not start.ray)] if name == "depth kind" else sizes, key=f)
+            best = min([replace(start, ray=1.0 - start.ray)] if name == "depth kind" else sizes, key=f)
             spread = math.nan
-        amount = max(abs(float(getattr(best, x)) - float(getattr(start, x))) for x in kind.fields)
-        fitted.append(
-            FittedCorrection(kind=name, correction=best, amount=amount, ratio=f(best) / before, uncertainty=spread)
-        )
+        added = {x: getattr(best, x) - getattr(start, x) for x in kind.fields}
+        fitted.append(FittedCorrection(kind=name, added=added, ratio=f(best) / before, uncertainty=spread))
     return fitted
 
 
@@ -326,9 +295,16 @@ def _resized(data: FitData, c: CalibrationCorrection, k: float) -> CalibrationCo
 
 
 def cost_of(data: FitData, start: CalibrationCorrection) -> Callable[[CalibrationCorrection], float]:
-    """The cost of a correction; differences are cut at three times their median at ``start`` (0.2 to 6 per cent)."""
+    """The cost of a correction: mean of min(|residual| / tolerance, 1) over the points that fall on a valid depth, 1 if
+    none does; the tolerance is three times their median at ``start``, 0.2 to 6 per cent."""
     tolerance = min(max(3 * median_error(data, start), 0.002), 0.06)
-    return lambda c: cost(data, c, tolerance)
+
+    def cost(c: CalibrationCorrection) -> float:
+        found = reproject(data, c)
+        each = (found.residual.abs() / tolerance).clamp(max=1.0) * found.known
+        return (float(each.sum()) + 1e-9) / (float(found.known.sum()) + 1e-9)
+
+    return cost
 
 
 def search(

@@ -3,61 +3,46 @@
 from collections import abc
 from typing import Any
 
-import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from ...config import RepairConfig
 from ...data.adjust.depth_agreement import relative_poses, thinned
 from ...data.adjust.poses import reread_poses
 from ...data.lens import warp_depth
 from ...data.sequence import BadFrameError, Sequence
-from ...drawing.curves import MUTED, PALETTE, curve_figure, figure_svg
+from ...drawing.curves import curve_figure, figure_svg
+from ...drawing.page import PageGraph
 from ...drawing.pictures import Picture, depth_error_map, fit_width, to_uint8
 from ...types import Frame
-from .edges import depth_edges
+from .colour import depth_edges
 from .sample import Sample
 
 EDGE_COLOUR = (0, 255, 160)
 _WIDTH = 640
 _GAP = 8
-_ARROWS = 24
-
-
-def same_frames(as_read: Sequence, repaired: Sequence, pairs: abc.Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Pairs of positions in ``as_read`` as positions of the same frames in ``repaired``; pairs that it lacks are left
-    out."""
-    before, after = (getattr(s, "positions", range(len(s))) for s in (as_read, repaired))
-    place = {number: i for i, number in enumerate(after)}
-    return [(place[before[a]], place[before[b]]) for a, b in pairs if before[a] in place and before[b] in place]
 
 
 def pictures_of(
-    as_read: Sequence,
-    repaired: Sequence,
-    pairs: abc.Sequence[tuple[int, int]],
-    *,
-    changed: bool,
-    posed: bool = True,
+    as_read: Sequence, repaired: Sequence | None, pairs: abc.Sequence[tuple[int, int]], *, posed: bool
 ) -> dict[str, Picture]:
-    """Depth errors and edges of a pair in the middle of the recording, as read and, if it was changed, repaired.
+    """Depth errors and edges of a pair in the middle of the recording, as read and repaired.
 
     Args:
         as_read, repaired: The recording before and after its repair; the second may have fewer frames.
         pairs: Positions of the frames compared, in the first.
-        changed: Whether there is a repair.
         posed: Whether there are poses; without them only edges are drawn.
     """
     wanted = sorted(pairs, key=lambda p: (abs(p[1] - p[0] - _GAP), abs(p[0] - len(as_read) // 2)))
+    before = getattr(as_read, "positions", range(len(as_read)))
     found: dict[str, Picture] = {}
     for label, sequence in (("as read", as_read), ("repaired", repaired)):
-        if label == "repaired" and not changed:
+        if sequence is None:
             break
-        for a, b in wanted[:4] if label == "as read" else same_frames(as_read, repaired, wanted)[:4]:
+        numbers = list(getattr(sequence, "positions", range(len(sequence))))
+        for pair in wanted[:4]:
             try:
-                first, second = sequence[a], sequence[b]
-            except BadFrameError:
+                first, second = (sequence[numbers.index(before[place])] for place in pair)
+            except (BadFrameError, ValueError):  # the repair leaves it out
                 continue
             i, j = first.index, second.index
             if posed:
@@ -70,12 +55,16 @@ def pictures_of(
 
 def depth_error(first: Frame, second: Frame) -> Picture:
     """Depth of ``first`` moved into ``second``, compared with the depth there; light yellow: 10 cm or more."""
+    import cv2
+
     # sparse points leave holes, so the target has half the resolution
     step = max(1, round(first.camera.width / (_WIDTH / 2)))
     camera, depth_b = thinned(second.camera, second.depth_m, step)
     T = relative_poses(first.T_WC[None].double(), second.T_WC[None].double())[0]
     warped = warp_depth(first.depth_m, first.camera, camera, T)
-    return _enlarged(depth_error_map(warped, depth_b))
+    picture = depth_error_map(warped, depth_b)
+    size = (_WIDTH, round(picture.shape[0] * _WIDTH / picture.shape[1]))
+    return to_uint8(cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST))
 
 
 def edge_overlay(frame: Frame) -> Picture:
@@ -91,38 +80,19 @@ def edge_overlay(frame: Frame) -> Picture:
     return painted
 
 
-def top_view(sample: Sample, interpretation: RepairConfig) -> str:
-    """The path seen along the cameras' mean up direction, with a few viewing directions; SVG."""
+def path_from_above(sample: Sample, interpretation: RepairConfig) -> list[PageGraph]:
+    """The path seen along the cameras' mean up direction; nothing with fewer than two poses."""
     T = reread_poses(sample.stored_poses, interpretation)
     T = T[torch.isfinite(T).all(dim=(1, 2))]
     if len(T) < 2:
-        return ""
-    across, along = _plane(T)
-    at = T[:, :3, 3] - T[:, :3, 3].mean(0)
-    x, y = ((at @ axis).numpy() for axis in (across, along))
-    figure = curve_figure(x, {"path": y}, x_label="metres", y_label="metres")
-    axes: Any = figure.axes[0]
-    axes.set_aspect("equal", adjustable="datalim")
-    some = np.linspace(0, len(T) - 1, min(_ARROWS, len(T))).round().astype(int)
-    u, v = ((T[some][:, :3, 2] @ axis).numpy() for axis in (across, along))
-    axes.quiver(x[some], y[some], u, v, color=MUTED, width=0.004, scale=18, zorder=1)
-    axes.plot(x[:1], y[:1], "o", color=PALETTE[2], markersize=6)
-    axes.plot(x[-1:], y[-1:], "s", color=PALETTE[3], markersize=6)
-    return figure_svg(figure, "path from above")
-
-
-def _plane(T: Float[Tensor, "N 4 4"]) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
-    """Two directions that span the plane perpendicular to the mean up direction of the cameras."""
+        return []
     up = -T[:, :3, 1].mean(0)
     up = up / up.norm().clamp_min(1e-9)
     forward = T[0, :3, 2] - (T[0, :3, 2] @ up) * up
     forward = forward / forward.norm().clamp_min(1e-9)
-    return torch.linalg.cross(forward, up), forward
-
-
-def _enlarged(picture: Picture) -> Picture:
-    import cv2
-
-    scale = _WIDTH / picture.shape[1]
-    size = (_WIDTH, round(picture.shape[0] * scale))
-    return to_uint8(cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST))
+    at = T[:, :3, 3] - T[:, :3, 3].mean(0)
+    x, y = ((at @ axis).numpy() for axis in (torch.linalg.cross(forward, up), forward))
+    figure = curve_figure(x, {"path": y}, x_label="metres", y_label="metres")
+    axes: Any = figure.axes[0]
+    axes.set_aspect("equal", adjustable="datalim")
+    return [PageGraph("Path from above", figure_svg(figure, "path from above"))]

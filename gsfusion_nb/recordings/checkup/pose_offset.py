@@ -24,7 +24,7 @@ from torch import Tensor
 from ...data.adjust.depth_agreement import relative_poses
 from ...data.adjust.poses import PosePath, times_of
 from ...data.sequence import Sequence
-from ...errors import SequenceError
+from ...files import SequenceError
 from ...geometry import se3
 from ...types import Camera
 from .sample import FrameFacts, Sample, read_sample

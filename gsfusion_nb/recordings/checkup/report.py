@@ -25,10 +25,10 @@ class Finding:
     verdict: Verdict
     sentence: str
     """What was found, with the numbers that matter."""
-    numbers: Mapping[str, float] = field(default_factory=dict)
-    """Measured numbers; the unit is part of the name."""
     repair: str = ""
     """Options of ``gsfusion-nb map``, or what to do; empty if nothing needs to be done."""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    """Of the agreement: shares and depth differences; the unit is part of the name."""
 
 
 def flags_of(data: DataConfig) -> str:

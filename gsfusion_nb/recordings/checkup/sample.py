@@ -1,12 +1,11 @@
 """The frames that a check-up examines, read one by one and reduced to what it needs."""
 
 import contextlib
-import hashlib
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from ...data.adjust.depth_agreement import thinned
@@ -37,9 +36,8 @@ class FrameFacts:
     """Share of pixels without depth."""
     sharpness: float
     """Mean squared Laplacian of the grey image divided by its variance, which makes it independent of exposure."""
-    colour_hash: str
-    depth_hash: str
-    """Of all pixels of the images as read."""
+    repeats: bool = False
+    """Whether every pixel of the colour or of the depth image is that of the frame before."""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -86,11 +84,18 @@ def read_sample(sequence: Sequence, *, frames: int = 250, at: list[int] | None =
         depth_camera=depth_camera,
         stored_poses=_stored_poses(sequence),
     )
+    last: Frame | None = None
     for place in places(len(sequence), frames) if at is None else at:
         try:
-            sample.frames.append(_facts(sequence[place], place, step))
+            frame = sequence[place]
         except BadFrameError as e:
             sample.unreadable[place] = str(e)
+            continue
+        facts = _facts(frame, place, step)
+        if last is not None:
+            facts.repeats = torch.equal(last.colour, frame.colour) or torch.equal(last.depth_m, frame.depth_m)
+        last = frame
+        sample.frames.append(facts)
     return sample
 
 
@@ -119,10 +124,4 @@ def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
         depth_m=depth_m.clone(),
         missing=float((depth_m <= 0).float().mean()),
         sharpness=float(np.mean(np.square(laplacian.astype(np.float32)))) / (float(grey.var()) + 1.0),
-        colour_hash=_hash(frame.rgb_u8),
-        depth_hash=_hash(frame.depth_m),
     )
-
-
-def _hash(image: Shaped[Tensor, "H W *C"]) -> str:
-    return hashlib.blake2b(np.ascontiguousarray(image.numpy()).tobytes(), digest_size=16).hexdigest()

@@ -1,19 +1,18 @@
 """Camera intrinsics from numbers, matrices and JSON; and converting images to the one camera of a sequence."""
 
 import math
-from collections import OrderedDict
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from ...checks import shown
 from ...data.adjust.resize import resize_colour
-from ...data.lens import TIE, CameraModel, pixel_map, same_rays, warp_depth, z_of_range
-from ...data.recorded.files import number, numbers
+from ...data.lens import TIE, CameraModel, pixel_map, same_rays, warp_depth
 from ...data.sequence import SequenceError
-from ...errors import shown
-from ...foreign import read_object
+from ...files import parsing, read_object
 from ...types import Camera
 from .recording import RecordedFrame, RgbdImages
 from .trajectory import read_numbers
@@ -84,31 +83,25 @@ def model_of_matrix(values: list[float], size: tuple[int, int], source: str, *, 
 
 def intrinsics_of_json(path: Path, size: tuple[int, int] | None, *, centre: float = 0.0) -> CameraModel:
     """Camera of Open3D's camera_intrinsic.json (column-major ``intrinsic_matrix``), or of keys fx, fy, cx, cy."""
-    values = read_object(path, f"the camera's intrinsics as {_WAYS}")
-    return model_of_object(values, size, str(path), centre=centre)
+    return model_of_object(read_object(path, f"the camera's intrinsics as {_WAYS}"), size, str(path), centre=centre)
 
 
 def model_of_object(values: dict[str, Any], size: tuple[int, int] | None, source: str, *, centre: float) -> CameraModel:
     """Camera of a JSON object (``intrinsics_of_json``)."""
-    path = Path(source)
-    if "width" in values or size is None:
-        checked = numbers(values, ("width", "height"), path)
-        size = (round(checked["width"]), round(checked["height"]))
-    if "intrinsic_matrix" in values:
-        matrix = values["intrinsic_matrix"]
-        plain = isinstance(matrix, list) and all(type(v) in (int, float) for v in matrix)
-        if not plain or len(matrix) != 9:
-            raise SequenceError(f"{source}: intrinsic_matrix must hold 9 numbers, column by column")
-        rows = [float(matrix[i]) for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)]
-        return model_of_matrix(rows, size, f"{source}: intrinsic_matrix (column by column)", centre=centre)
-    checked = numbers(values, ("fx", "fy", "cx", "cy"), path)
-    distortion = tuple(number(values, k, 0.0, source) for k in ("k1", "k2", "p1", "p2", "k3"))
-    centre = number(values, "pixel_centre", centre, source)
-    return model_of([checked[k] for k in ("fx", "fy", "cx", "cy")], size, source, centre=centre, distortion=distortion)
+    with parsing(source, "intrinsic_matrix of 9 numbers, column by column, or fx, fy, cx, cy"):
+        if "width" in values or size is None:
+            size = (round(values["width"]), round(values["height"]))
+        if "intrinsic_matrix" in values:
+            rows = [float(values["intrinsic_matrix"][i]) for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)]
+            return model_of_matrix(rows, size, f"{source}: intrinsic_matrix (column by column)", centre=centre)
+        pinhole = [float(values[k]) for k in ("fx", "fy", "cx", "cy")]
+        distortion = tuple(float(values.get(k, 0.0)) for k in ("k1", "k2", "p1", "p2", "k3"))
+        centre = float(values.get("pixel_centre", centre))
+    return model_of(pinhole, size, source, centre=centre, distortion=distortion)
 
 
-_KEPT_MAPS = 4
-"""Pixel maps kept; a recording with another focal length in every frame makes as many maps as frames."""
+_map = lru_cache(maxsize=4)(pixel_map)
+"""A recording with another focal length in every frame makes as many maps as frames; few are kept."""
 
 
 class Rectifier:
@@ -118,10 +111,8 @@ class Rectifier:
     never interpolated; if the depth camera is at another place, every point is moved to its pixel (``warp_depth``).
     """
 
-    def __init__(self, camera: Camera, *, along_ray: bool = False):
+    def __init__(self, camera: Camera):
         self.camera = camera
-        self._along_ray = along_ray
-        self._maps: OrderedDict[tuple[CameraModel, Camera], tuple[np.ndarray, np.ndarray]] = OrderedDict()
 
     def __call__(self, frame: RecordedFrame, model: CameraModel, images: RgbdImages) -> RgbdImages:
         """The images of ``frame``, taken by ``model``. ``encoded`` is empty unless colour is unchanged."""
@@ -136,7 +127,7 @@ class Rectifier:
 
         native = self.camera.resized(model.camera.width, model.camera.height)
         if not same_rays(model, native):
-            rgb = cv2.remap(rgb, *self._map(model, native), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            rgb = cv2.remap(rgb, *_map(model, native), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return resize_colour(rgb, self.camera.width, self.camera.height)
 
     def _depth(self, depth_m: np.ndarray, colour: CameraModel, frame: RecordedFrame) -> np.ndarray:
@@ -145,8 +136,6 @@ class Rectifier:
             model = colour.resized(width, height)
         else:
             model = frame.depth_model.fitted(width, height, f"the depth of {frame.source}")
-        if self._along_ray:
-            depth_m = z_of_range(depth_m, model)
         if frame.T_colour_depth is None:
             return self._nearest(depth_m, model, self.camera)
         pinhole = model.pinhole()
@@ -158,17 +147,8 @@ class Rectifier:
 
         if same_rays(model, camera):
             return depth_m
-        u, v = self._map(model, camera)
+        u, v = _map(model, camera)
         return cv2.remap(depth_m, u - np.float32(TIE), v - np.float32(TIE), cv2.INTER_NEAREST, borderValue=0)
-
-    def _map(self, model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-        key = (model, camera)
-        if key not in self._maps:
-            self._maps[key] = pixel_map(model, camera)
-        self._maps.move_to_end(key)
-        while len(self._maps) > _KEPT_MAPS:
-            self._maps.popitem(last=False)
-        return self._maps[key]
 
 
 def output_camera(model: CameraModel, width: int, height: int) -> Camera:

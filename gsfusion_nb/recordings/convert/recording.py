@@ -1,7 +1,6 @@
 """What a reader of a foreign format takes and returns: options, frames, and images that are decoded on request."""
 
 import io
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +12,10 @@ from torch import Tensor
 
 from ...checks import check_number
 from ...data.lens import CameraModel
-from ...data.recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
+from ...data.recorded.images import decode_image, decode_rgb, read_image_bytes
 from ...data.sequence import BadFrameError, SequenceError
-from ...foreign import is_file, parsing
-from ...operands import check_depth_scale, check_plausible_camera
+from ...files import is_file, parsing
+from ...geometry.operands import check_depth_scale, check_plausible_camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +28,6 @@ class RosOptions:
     """Depth images (16UC1 in millimetres, 32FC1 in metres, or compressedDepth)."""
     pose_topic: str = ""
     """PoseStamped, PoseWithCovarianceStamped, TransformStamped or Odometry; "tf" takes the transform tree."""
-    camera_info_topic: str = ""
-    """Calibration of the colour camera; found beside the colour topic by default."""
     world_frame: str = ""
     """World frame in the transform tree; its root by default."""
 
@@ -61,9 +58,6 @@ class ConvertOptions:
     depth_scale: float = 0.0
     """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; TUM-style folders:
     inferred from names, depths and poses, or asked for."""
-    depth_along: Literal["auto", "z", "ray"] = "auto"
-    """Whether depth is measured along the optical axis ("z") or along the ray of each pixel ("ray"); "auto": as usual
-    in the format."""
     intrinsics: str = ""
     """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", or a file with these
     numbers, a matrix, or JSON."""
@@ -108,7 +102,7 @@ class RecordedFrame:
     """One frame of a recording.
 
     Raises:
-        SequenceError: an impossible camera (``gsfusion_nb.operands``).
+        SequenceError: an impossible camera (``gsfusion_nb.geometry.operands``).
     """
 
     source: str
@@ -140,7 +134,7 @@ class Recording:
     """A recording in a foreign format.
 
     Raises:
-        SequenceError: an impossible depth scale (``gsfusion_nb.operands``).
+        SequenceError: an impossible depth scale (``gsfusion_nb.geometry.operands``).
     """
 
     name: str
@@ -149,7 +143,6 @@ class Recording:
     n_frames: int
     depth_scale: float = 1000.0
     """Stored depth value of one metre, which the written images keep."""
-    depth_along_ray: bool = False
     has_poses: bool = True
     up_to_scale: bool = False
     """Whether the poses have no unit of length."""
@@ -167,7 +160,7 @@ class Recording:
             raise SequenceError(str(e)) from None
 
 
-DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".exr")
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
 
 
 def decode_depth(data: bytes, source: str, scale: float) -> np.ndarray:
@@ -190,11 +183,9 @@ def decode_depth(data: bytes, source: str, scale: float) -> np.ndarray:
 
 
 def read_depth_file(path: Path, scale: float) -> np.ndarray:
-    """Depth in metres of a PNG, TIFF, PGM, NumPy or OpenEXR file, 0 = missing, float32. [H, W]"""
+    """Depth in metres of a PNG, TIFF, PGM or NumPy file, 0 = missing, float32. [H, W]"""
     if path.suffix.lower() == ".npy":
         return metres(_numpy_array(path), scale)
-    if path.suffix.lower() == ".exr":
-        return metres(_exr_channel(path), scale)
     return decode_depth(read_image_bytes(path, "depth"), str(path), scale)
 
 
@@ -227,32 +218,8 @@ def find_depth(folder: Path, stem: str) -> Path:
 
 
 def _numpy_array(path: Path) -> np.ndarray:
-    what = "a NumPy array of depth"
-    data = io.BytesIO(read_image_bytes(path, "depth"))
-    with parsing(path, what, BadFrameError):
-        version = np.lib.format.read_magic(data)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(data, max_header_size=10_000)
-        if dtype.itemsize * math.prod(shape) > len(data.getbuffer()):
-            raise BadFrameError(f"{path} claims an array {list(shape)} of {dtype}, more than it holds; expected {what}")
-        data.seek(0)
-        array = np.squeeze(np.load(data, allow_pickle=False))
+    with parsing(path, "a NumPy array of depth", BadFrameError):
+        array = np.squeeze(np.load(io.BytesIO(read_image_bytes(path, "depth")), allow_pickle=False))
     if array.ndim != 2 or array.dtype.kind not in "fu":
         raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
     return array
-
-
-def _exr_channel(path: Path) -> np.ndarray:
-    try:
-        import OpenEXR  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise SequenceError(
-            f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install OpenEXR"
-        ) from None
-    check_image_size(read_image_bytes(path, "depth"), path, "depth")
-    with parsing(path, "depth as OpenEXR", BadFrameError), OpenEXR.File(str(path)) as file:
-        channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    array = next((channels[n] for n in ("Z", "Y", "R", "RGB", "RGBA") if n in channels), None)
-    if array is None:
-        raise BadFrameError(f"{path} has the channels {', '.join(channels)}; expected depth in Z, Y or R")
-    return array if array.ndim == 2 else array[..., 0]

@@ -5,6 +5,7 @@ import itertools
 import json
 import statistics
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -16,8 +17,9 @@ from ...checks import check_name
 from ...config.values import parse_options
 from ...data.lens import CameraModel
 from ...data.recorded.times import judge_stamps
+from ...data.room.hand_held import write_depth, write_rgb
 from ...data.sequence import BadFrameError, SequenceError
-from ...files import atomic_folder
+from ...files import atomic_folder, parsing
 from ...types import Camera
 from ...work import ProgressDisplay
 from .camera import Rectifier, output_camera, read_intrinsics
@@ -28,7 +30,6 @@ from .trajectory import FramePoses
 MILLIMETRES = 1000.0
 _FINEST, _COARSEST = 20000.0, 200.0
 """Depth scales of a recording that are kept; others (metres, floating point) are written in millimetres."""
-JPEG_QUALITY = 95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,12 +97,21 @@ def convert(
     check_name("format", format, ("auto", *FORMATS))
     with atomic_folder(out, out.with_name(f".{out.name}.partial")) as folder:
         name = detect_format(path) if format == "auto" else format
-        recording = FORMATS[name].read(path, options)
+        what = f"a recording in the format {name}"
+        with parsing(path, what):
+            recording = FORMATS[name].read(path, options)
         conversion = _Conversion(recording, options, folder)
         with ProgressDisplay("converting", total=recording.n_frames, unit="frame", shown=progress) as display:
-            for frame in itertools.islice(display.over(recording.frames()), 0, None, options.every):
+            frames = display.over(_read_on(recording, what))
+            for frame in itertools.islice(frames, 0, None, options.every):
                 conversion.add(frame)
         return conversion.finish(name, out)
+
+
+def _read_on(recording: Recording, what: str) -> Iterator[RecordedFrame]:
+    """The frames; whatever a damaged file leads to becomes one sentence."""
+    with parsing(recording.name, what):
+        yield from recording.frames()
 
 
 class _Conversion:
@@ -112,8 +122,6 @@ class _Conversion:
         self._poses = FramePoses(recording, options)
         scale = options.depth_scale or recording.depth_scale
         self._depth_scale = scale if _COARSEST <= scale <= _FINEST else MILLIMETRES
-        along = options.depth_along
-        self._along_ray = recording.depth_along_ray if along == "auto" else along == "ray"
         self._rectifier: Rectifier | None = None
         self._dropped: Counter[str] = Counter()
         self._errors: list[str] = []
@@ -121,8 +129,7 @@ class _Conversion:
         self._lines: list[str] = []
         """The poses of the frames that were written."""
         self._far_pixels = 0
-        for kind in ("rgb", "depth"):
-            (folder / kind).mkdir()
+        (folder / "rgb").mkdir()
 
     def add(self, frame: RecordedFrame) -> None:
         """Write a frame, or leave it out and count why."""
@@ -135,7 +142,8 @@ class _Conversion:
             if T_WC is None:
                 return self._drop(reason)
         try:
-            images = frame.load()
+            with parsing(frame.source, "colour and depth", BadFrameError):
+                images = frame.load()
         except BadFrameError as e:
             return self._drop("image missing or damaged", str(e))
         try:
@@ -146,11 +154,16 @@ class _Conversion:
             raise SequenceError(f"{frame.source}: {e}") from None
         stored = np.rint(rectified.depth_m * np.float32(self._depth_scale))
         far = stored > 65535
-        depth = np.where(far, 0, stored).astype(np.uint16)
+        depth = np.where(far, 0, stored)
         if not depth.any():
             return self._drop("no depth", f"{frame.source} holds no depth that can be written")
-        lossless = not images.encoded.startswith(b"\xff\xd8")
-        self._write(rectified.encoded or rectified.rgb, depth, lossless=lossless)
+        name, lossless = f"{len(self._times):06d}", not images.encoded.startswith(b"\xff\xd8")
+        colour = self._folder / f"rgb/{name}{'.png' if lossless else '.jpg'}"
+        if rectified.encoded:
+            colour.write_bytes(rectified.encoded)
+        else:
+            write_rgb(colour, rectified.rgb)
+        write_depth(self._folder / f"depth/{name}.png", depth, 1.0)
         self._far_pixels += int(far.sum())
         self._times.append(frame.time_s)
         if T_WC is not None:
@@ -214,7 +227,7 @@ class _Conversion:
         model = self._model(frame, (width, height))
         if self._rectifier is None:
             camera = output_camera(model.fitted(width, height, frame.source), self._options.width, self._options.height)
-            self._rectifier = Rectifier(camera, along_ray=self._along_ray)
+            self._rectifier = Rectifier(camera)
         return self._rectifier(frame, model, images)
 
     def _model(self, frame: RecordedFrame, size: tuple[int, int]) -> CameraModel:
@@ -227,27 +240,6 @@ class _Conversion:
             )
         return frame.model
 
-    def _write(self, rgb: np.ndarray | bytes, depth: np.ndarray, *, lossless: bool) -> None:
-        """Write colour and depth of one frame.
-
-        Args:
-            rgb: A JPEG or PNG file, which is written unchanged, or RGB, uint8. [H, W, 3]
-            depth: Stored depth, uint16. [H, W]
-            lossless: Write RGB as PNG; otherwise as JPEG, for images that were JPEG before they were resampled.
-        """
-        import cv2
-
-        name = f"{len(self._times):06d}"
-        if isinstance(rgb, bytes):
-            suffix, data = (".png" if rgb[:4] == b"\x89PNG" else ".jpg"), rgb
-        else:
-            suffix = ".png" if lossless else ".jpg"
-            full_colour = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
-            options = [] if lossless else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *full_colour]
-            data = _encoded(suffix, rgb[..., ::-1], options)
-        (self._folder / "rgb" / f"{name}{suffix}").write_bytes(data)
-        (self._folder / "depth" / f"{name}.png").write_bytes(_encoded(".png", depth, []))
-
     def _time_hint(self) -> str:
         """Both time ranges, if no frame has a pose in the trajectory."""
         trajectory = self._poses.trajectory
@@ -258,22 +250,13 @@ class _Conversion:
         return f"; the trajectory spans {first:.3f} to {last:.3f} s, the first frame is at {frame.time_s} s"
 
 
-def _encoded(suffix: str, image: np.ndarray, options: list[int]) -> bytes:
-    import cv2
-
-    done, data = cv2.imencode(suffix, np.ascontiguousarray(image), options)
-    if not done:
-        raise BadFrameError(f"an image of {image.shape[1]}x{image.shape[0]} cannot be written as {suffix}")
-    return data.tobytes()
-
-
 @dataclass(frozen=True, kw_only=True)
 class ConvertCommand:
     """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
     are written one by one, and OUT appears when all is done."""
 
     words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")]
-    """FORMAT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if omitted.
+    """FORMAT: colmap, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if omitted.
     SOURCE: the file or folder of the recording. OUT: a new folder."""
     options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
 

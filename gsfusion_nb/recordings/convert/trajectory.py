@@ -13,8 +13,7 @@ from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows,
 from ...data.recorded.times import PER_SECOND
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
-from ...errors import shown
-from ...foreign import read_text
+from ...files import parsing, read_text
 from ...geometry import se3
 from .recording import ConvertOptions, RecordedFrame, Recording
 
@@ -151,13 +150,8 @@ def _table(path: Path) -> Float[Tensor, "N 8"]:
             columns = columns or _columns_of_header(line)
             continue
         columns = columns or (_EUROC if len(words) == _EUROC_COLUMNS else _TUM)
-        try:
+        with parsing(f"{path} line {number}", "a time, a position and a quaternion in at least 8 numbers"):
             rows.append([float(words[c]) for c in columns])
-        except (ValueError, IndexError):
-            raise SequenceError(
-                f"{path} line {number} must hold a time, a position and a quaternion in at least 8 numbers, got "
-                f"{shown(line.strip())}"
-            ) from None
     if not rows:
         raise SequenceError(f"{path} is empty; expected rows 't tx ty tz qx qy qz qw'")
     return torch.tensor(rows, dtype=torch.float64)
@@ -197,7 +191,5 @@ def read_numbers(path: Path, what: str) -> list[float]:
     """All numbers of a text file; brackets, commas and ``#`` comments are ignored."""
     lines = [line.split("#")[0] for line in read_text(path, what).splitlines()]
     words = " ".join(lines).translate(str.maketrans("[](){},;", "        ")).split()
-    try:
+    with parsing(path, what):
         return [float(w) for w in words]
-    except ValueError as e:
-        raise SequenceError(f"{path} holds text where {what} were expected ({e})") from None

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...constants import SH_C0
 from ...geometry import se3
+from ...geometry.spherical_harmonics import SH_C0
 from ...render import render
 from ...types import Seeds
 from ..context import SeedContext

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ...constants import SH_C0
 from ...gaussians import Edit
+from ...geometry.spherical_harmonics import SH_C0
 from ...types import Seeds
 from ..context import SeedContext
 from ..rule import EVERY_FRAME, MapRule, StepStats, When, seeding_rule

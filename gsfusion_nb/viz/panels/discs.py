@@ -10,8 +10,9 @@ from markupsafe import Markup
 from torch import Tensor
 
 from ...config import DiscConfig
+from ...drawing.curves import CARD_INK, PALETTE, card_figure, figure_picture, style
 from ...drawing.page import html_table
-from ...drawing.pictures import AnyImage, Picture, colour_depth, error_map, on_card, side_by_side, to_uint8
+from ...drawing.pictures import AnyImage, Picture, colour_depth, error_map, side_by_side, to_uint8
 from ...gaussians.surfels import OPAQUE
 from ...geometry import quaternion
 from ...geometry.spherical_harmonics import rgb_to_sh_dc
@@ -19,14 +20,12 @@ from ...render import SurfaceView, view_surface
 from ...types import Camera, Frame, GaussianParams
 from ..map_pictures import CAUSES
 from .panel import Choice, Drawn, Number, Panel, Slider
-from .pixel_stack import INK, write
 
 STAGE_CAMERA = Camera(width=96, height=60, fx=80.0, fy=80.0, cx=48.0, cy=30.0)
 NEAR_M = 1.2
 """The right edge of the front board is at x = 0 and this far away, metres."""
 MID_AIR_M = 0.03
-_HALF_M, _ROWS_M, _BAR_M = 0.7, 0.8, 0.2
-_DISC_INK, _BLENDED_INK, _TRUE_INK = (61, 133, 198), (224, 138, 46), (150, 156, 166)
+_HALF_M, _ROWS_M = 0.7, 0.8
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,14 +76,11 @@ def disc_scene(
     config = DiscConfig(opaque_alpha=opaque_alpha, min_cosine=0.17, max_offset=3.0)
     seen = view_surface(params, camera, T_WC, config)
     blended = view_surface(params, camera, T_WC, dataclasses.replace(config, depth="blended"))
+    planes = _planes(camera, lean, float(gap_m))
     return DiscScene(
-        params=params,
-        truth_m=_truth(camera, lean, float(gap_m)),
-        planes_m=_planes(camera, lean, float(gap_m)),
-        disc_m=seen.depth_m,
-        blended_m=blended.depth_m,
-        rgb=seen.rgb,
-    )
+        params=params, truth_m=_truth(camera, lean, planes), planes_m=planes, disc_m=seen.depth_m,
+        blended_m=blended.depth_m, rgb=seen.rgb,
+    )  # fmt: skip
 
 
 def disc_panel() -> Panel:
@@ -109,49 +105,33 @@ def disc_scene_picture(scene: DiscScene) -> Picture:
     images = [to_uint8(scene.rgb), *(colour_depth(d, 0.5, far) for d in (scene.disc_m, scene.blended_m))]
     images = [i.repeat(3, 0).repeat(3, 1) for i in images]
     top = side_by_side(images, ["render", "disc depth (Eq. 5)", f"blended; blue 0.5 m, red {far:.1f} m"])
-    plan = on_card(disc_scene_plan(scene, top.shape[1]))
-    return np.concatenate([top, plan])
+    return np.concatenate([top, disc_scene_plan(scene, top.shape[1])])
 
 
 def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
-    """The scene from above, the camera at the bottom: discs near the middle row, the depths of its rays as points."""
-    import cv2
-
-    image = np.full((height, width, 3), 255, np.uint8)
-    far = _far_m(scene)
-    low = max(0.0, float(scene.truth_m[scene.truth_m > 0].min()) - 0.25)
-    scale = min((height - 60) / (far + 0.05 - low), 0.95 * width / (1.2 * far))
-
-    def at(x: float, z: float) -> tuple[int, int]:
-        return round(16 * (width / 2 + x * scale)), round(16 * (height - 12 - (z - low) * scale))
-
-    row, camera = STAGE_CAMERA.height // 2, STAGE_CAMERA
+    """The scene from above, the camera below: discs near the middle row, the depths of its rays as points."""
+    figure, (axes,) = card_figure(width, height)
+    far, camera = _far_m(scene), STAGE_CAMERA
     x_over_z = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     R, scales = quaternion.to_matrix(scene.params.quat), scene.params.log_scale.exp()
-    for i in (scene.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())).nonzero().flatten().tolist():
-        c, side = scene.params.xyz_W[i], R[i, :, 0] * scales[i, 0]
-        cv2.line(image, at(*(c - side)[[0, 2]].tolist()), at(*(c + side)[[0, 2]].tolist()), (205, 212, 222), 5, 16, 4)
-    for depth, ink, radius in (
-        (scene.truth_m, _TRUE_INK, 1),
-        (scene.blended_m, _BLENDED_INK, 3),
-        (scene.disc_m, _DISC_INK, 3),
+    near = scene.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())
+    centre, side = scene.params.xyz_W[near], R[near, :, 0] * scales[near, :1]
+    ends = torch.stack([centre - side, centre + side])[..., [0, 2]].numpy()
+    axes.plot(ends[..., 0], ends[..., 1], color=CARD_INK, alpha=0.4, linewidth=4)
+    for depth, name, ink, size in (
+        (scene.blended_m, "blended depth", PALETTE[1], 4),
+        (scene.disc_m, "disc depth", PALETTE[0], 4),
+        (scene.truth_m, "truth", CARD_INK, 1.5),
     ):
-        for x, z in zip(x_over_z, depth[row].tolist(), strict=True):
-            if 0 < z <= far + 0.05:
-                cv2.circle(image, at(x * z, z), radius * 16, ink, -1, 16, 4)
-    image[:30] = 255
-    write(image, "from above, middle row of pixels: ", 10, 18, 1, 0.45)
-    for words, x, ink in (
-        ("disc depth", 262, _DISC_INK),
-        ("blended depth", 352, _BLENDED_INK),
-        ("truth", 466, _TRUE_INK),
-    ):
-        write(image, words, x, 18, 1, 0.45, ink)
-    write(image, "camera below", width - 110, height - 6, 1, 0.4, INK)
-    end = 10 + round(_BAR_M * scale)
-    cv2.line(image, (10, height - 10), (end, height - 10), INK, 2)
-    write(image, f"{_BAR_M} m", end + 6, height - 6, 1, 0.4, INK)
-    return image
+        z = depth[camera.height // 2].numpy()
+        shown = (z > 0) & (z <= far + 0.05)
+        axes.plot((x_over_z * z)[shown], z[shown], "o", color=ink, markersize=size, label=name)
+    low = max(0.0, float(scene.truth_m[scene.truth_m > 0].min()) - 0.25)
+    axes.set(ylim=(low, far + 0.05), xlim=(-0.6 * far, 0.6 * far))
+    axes.set_aspect("equal", adjustable="box")
+    style(axes, x="x, m", y="z, m", title="from above, middle row of pixels; the camera is below", ink=CARD_INK)
+    axes.legend(frameon=False, labelcolor=CARD_INK, fontsize=8)
+    return figure_picture(figure)
 
 
 def _far_m(scene: DiscScene) -> float:
@@ -199,12 +179,9 @@ def _planes(camera: Camera, lean: float, gap_m: float) -> tuple[Float[Tensor, "H
     return (board, torch.full_like(board, NEAR_M + gap_m)) if gap_m > 0 else (board,)
 
 
-def _truth(camera: Camera, lean: float, gap_m: float) -> Float[Tensor, "H W"]:
-    """z-depth of the boards: the front one is between x = -0.7 cos(lean) and 0."""
-    planes = _planes(camera, lean, gap_m)
-    if len(planes) == 1:
-        return planes[0]
-    board, wall = planes
+def _truth(camera: Camera, lean: float, planes: tuple[Float[Tensor, "H W"], ...]) -> Float[Tensor, "H W"]:
+    """z-depth of the boards: the front one is between x = -0.7 cos(lean) and 0 if there is a wall."""
+    board, wall = planes[0], planes[-1]
     x_m = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx * board
     on_board = (board > 0) & (x_m <= 0) & (x_m >= -_HALF_M * float(np.cos(lean)))
     return torch.where(on_board, torch.minimum(board, wall), wall)
@@ -280,19 +257,9 @@ def surface_panel(
     def draw(choice: str) -> Drawn:
         surface, whole = (to_uint8(x) for x in pictures[choice])
         added = ((whole.astype(int) - surface) + 128).clip(0, 255).astype("uint8")
-        parts = {
-            "surface": surface,
-            "added by Gaussians": added,
-            "sum": whole,
-            "|sum - photograph|": error_map(whole, photo),
-        }
-        big = [part.repeat(scale, 0).repeat(scale, 1) for part in parts.values()]
+        parts = [part.repeat(scale, 0).repeat(scale, 1) for part in (surface, added, whole, error_map(whole, photo))]
         words = f"{label} {choice}: the surface alone, what the Gaussians add, the sum, and its error"
-        return side_by_side(big, list(parts)), words
+        return side_by_side(parts, ["surface", "added by Gaussians", "sum", "|sum - photograph|"]), words
 
-    return Panel(
-        draw,
-        {"choice": Choice(value=names[-1], options=names, label=label)},
-        name="surface",
-        text="Surface, corrections and sum",
-    )
+    controls = {"choice": Choice(value=names[-1], options=names, label=label)}
+    return Panel(draw, controls, name="surface", text="Surface, corrections and sum")

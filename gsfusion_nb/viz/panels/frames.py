@@ -9,17 +9,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...checks import check_whole
 from ...config import RepairConfig
 from ...data.adjust.depth_agreement import depth_agreement
 from ...data.adjust.repair import repaired
 from ...data.sequence import Sequence
-from ...drawing.pictures import LABEL_PX, Picture, colour_depth, depth_range_m, side_by_side, to_uint8
+from ...drawing.pictures import Picture, colour_depth, depth_range_m, side_by_side, to_uint8
 from ...geometry import backproject, depth_to_normals, pixel_grid, project, se3
 from ...recordings.checkup.pictures import depth_error, edge_overlay
 from ...types import Camera, Frame
 from ..display import Stroke
-from .panel import Choice, Drawn, Number, Panel, Slider
+from .panel import Choice, Drawn, Number, Panel, Slider, pixel_sliders, touched_pixel
 from .pixel_stack import draw_cross, resize_to_height
 
 POINT_COLOURS = ("colour", "depth", "normals")
@@ -31,7 +30,7 @@ def point_view(
     T_WC: Float[Tensor, "4 4"],
     *,
     camera: Camera | None = None,
-    show: str = "colour",
+    colours: Picture | None = None,
     point_px: int = 1,
 ) -> Picture:
     """The frame's pixels, lifted to points (GSFusion Eq. 10) and projected (Eq. 4) into a camera at ``T_WC``.
@@ -43,19 +42,11 @@ def point_view(
         frame: Where the points come from.
         T_WC: Pose of the camera that looks at them.
         camera: Its intrinsics; the frame's by default.
-        show: Colour of the points: "colour" (photograph), "depth" (z-depth in the frame), "normals"
-            (``normal_colours``).
+        colours: Of the frame's pixels, such as ``point_colours``; the photograph by default.
         point_px: Edge of the square that a point covers, pixels.
-
-    Raises:
-        ValueError: unknown ``show``.
     """
-    return _seen(frame, T_WC, camera or frame.camera, point_colours(frame, show), point_px)
-
-
-def _seen(frame: Frame, T_WC: Float[Tensor, "4 4"], target: Camera, colour: Picture, point_px: int) -> Picture:
-    """``point_view`` with the colours of the frame's pixels."""
-    colours = torch.from_numpy(colour).view(-1, 3)
+    target = camera or frame.camera
+    inks = torch.from_numpy(to_uint8(frame.colour) if colours is None else colours).view(-1, 3)
     xyz_C = backproject(frame.camera, pixel_grid(frame.camera), frame.depth_m).view(-1, 3)
     T_new_old = se3.inverse(T_WC.double()) @ frame.T_WC.double()
     xyz = se3.apply(T_new_old.float(), xyz_C)
@@ -71,7 +62,7 @@ def _seen(frame: Frame, T_WC: Float[Tensor, "4 4"], target: Camera, colour: Pict
             at = j[inside].long() * target.width + i[inside].long()
             nearest.scatter_reduce_(0, at, z[inside], "amin")
             first = z[inside] <= nearest[at]
-            picture[at[first]] = colours[seen[inside[first]]]
+            picture[at[first]] = inks[seen[inside[first]]]
     return picture.view(target.height, target.width, 3).numpy()
 
 
@@ -119,7 +110,6 @@ def point_panel(frame: Frame) -> Panel:
     Click a pixel of the frame at the left: its depth, its point, and where that point is in the other view. Drag the
     view at the right to turn the camera; with the shift key, to move it. Or use the sliders.
     """
-    width, height = frame.camera.width, frame.camera.height
     near_m, far_m = depth_range_m(frame.depth_m)
     colours = functools.cache(lambda show: point_colours(frame, show))
     legend = {
@@ -129,7 +119,7 @@ def point_panel(frame: Frame) -> Panel:
 
     def draw(*, u: int, v: int, right_m: float, forward_m: float, turn_deg: float, show: str, point_px: int) -> Drawn:
         T_WC = moved_pose(frame.T_WC, (right_m, 0.0, forward_m), turn_deg)
-        picture = _seen(frame, T_WC, frame.camera, colours(show), point_px)
+        picture = point_view(frame, T_WC, colours=colours(show), point_px=point_px)
         empty = 1 - float(((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0).mean())
         place, about = pixel_story(frame, T_WC, u, v)
         left = draw_cross(colours(show), (u + 0.5, v + 0.5))
@@ -140,8 +130,8 @@ def point_panel(frame: Frame) -> Panel:
         return pair, words + legend.get(show, "")
 
     def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, Number]:
-        if stroke.start[0] < width:
-            return {"u": math.floor(stroke.now[0]), "v": math.floor(stroke.now[1] - LABEL_PX)}
+        if stroke.start[0] < frame.camera.width:
+            return touched_pixel(stroke, frame.camera)
         du, dv = stroke.moved
         if stroke.shift:
             return {
@@ -151,8 +141,7 @@ def point_panel(frame: Frame) -> Panel:
         return {"turn_deg": values["turn_deg"] - math.degrees(du / frame.camera.fx)}
 
     controls = {
-        "u": Slider(value=width // 2, low=0, high=width - 1, step=1, label="pixel column u"),
-        "v": Slider(value=height // 2, low=0, high=height - 1, step=1, label="pixel row v"),
+        **pixel_sliders(frame.camera),
         "right_m": Slider(value=0.0, low=-1.0, high=1.0, step=0.02, label="right, m"),
         "forward_m": Slider(value=0.0, low=-1.0, high=1.0, step=0.02, label="forward, m"),
         "turn_deg": Slider(value=0.0, low=-90, high=90, step=1.0, label="turn right, °", readout=".0f"),
@@ -200,20 +189,15 @@ def repair_panel(sequence: Sequence, first: int, second: int) -> Panel:
         IndexError: no such frame.
     """
     for name, at in (("first", first), ("second", second)):
-        check_whole(name, at, 0)
-        if at >= len(sequence):
-            raise IndexError(f"{name} must be below {len(sequence)}, got {at}")
+        if not 0 <= at < len(sequence):
+            raise IndexError(f"{name} must be 0..{len(sequence) - 1}, got {at}")
     camera = sequence.camera
 
     def draw(*, depth_factor: Number, pose_shift: Number, focal: Number, right_px: Number, down_px: Number) -> Drawn:
         repair = RepairConfig(
-            depth_factor=float(depth_factor),
-            pose_shift_frames=float(pose_shift),
-            fx=float(focal * camera.fx),
-            fy=float(focal * camera.fy),
-            rgb_shift_x_px=float(right_px),
-            rgb_shift_y_px=float(down_px),
-        )
+            depth_factor=float(depth_factor), pose_shift_frames=float(pose_shift), fx=float(focal * camera.fx),
+            fy=float(focal * camera.fy), rgb_shift_x_px=float(right_px), rgb_shift_y_px=float(down_px),
+        )  # fmt: skip
         mended = repaired(sequence, repair)
         a, b = mended[first], mended[second]
         found = depth_agreement(a, b, step=2)

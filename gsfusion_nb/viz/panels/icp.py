@@ -1,7 +1,6 @@
 """Panels about ICP: every step of one alignment, the starting poses from which it succeeds, and paths from above."""
 
 import dataclasses
-import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,14 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import TrackingConfig
-from ...drawing.curves import PALETTE, small_curves
-from ...drawing.pictures import CARD, Picture, on_card, side_by_side, to_uint8
+from ...drawing.curves import CARD, CARD_INK, PALETTE, card_figure, figure_picture, small_curves, style
+from ...drawing.pictures import Picture, side_by_side, to_uint8
 from ...geometry import depth_to_normals, se3
 from ...tracking import IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
 from ...types import Frame
 from .frames import point_view
 from .panel import Drawn, Number, Panel, Slider, Switch
-from .pixel_stack import resize_to_height, write
+from .pixel_stack import resize_to_height
 from .tsdf import distance_colours
 
 RESIDUAL_M = 0.03
@@ -96,10 +95,8 @@ def _icp_picture(frame: Frame, surface: Surface, config: TrackingConfig, result:
         "position error, cm": [100 * e[0] for e in errors],
         "angle error, deg": [e[1] for e in errors],
     }
-    curves = on_card(small_curves(series, n_x=sum(config.iterations) + 1, width=top.shape[1] // 3, scale=1))
-    strip = np.full((curves.shape[0], top.shape[1], 3), CARD, np.uint8)
-    strip[:, : curves.shape[1]] = curves
-    return np.concatenate([top, strip])
+    curves = small_curves(series, n_x=sum(config.iterations) + 1, width=top.shape[1])
+    return np.concatenate([top, curves])
 
 
 def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = None) -> Panel:
@@ -125,15 +122,13 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
         off_m, off_deg = pose_error(result.T_WC, frame.T_WC)
         well = off_m < SUCCESS_M and off_deg < SUCCESS_DEG
         at = result.history[step] if step < n else None
+        when = f"before step {step + 1} of {n}, {at.factor} × {at.factor} px" if at else f"after all {n} steps"
+        fits = at or result
         words = (
-            f"before step {step + 1} of {n}, {at.factor} × {at.factor} px: {at.n_inliers:,} of {at.n_overlap:,} fit"
-            if at
-            else f"after all {n} steps: {result.n_inliers:,} of {result.n_overlap:,} fit"
+            f"{when}: {fits.n_inliers:,} of {fits.n_overlap:,} fit<br><b>{'converged' if well else 'not converged'}</b>"
+            f": final error {off_m * 100:.1f} cm and {off_deg:.2f}°"
         )
-        verdict = (
-            f"<b>{'converged' if well else 'not converged'}</b>: final error {off_m * 100:.1f} cm and {off_deg:.2f}°"
-        )
-        return _icp_picture(frame, surface, configs[pyramid], result, min(step, n)), f"{words}<br>{verdict}"
+        return _icp_picture(frame, surface, configs[pyramid], result, min(step, n)), words
 
     controls = {
         "step": Slider(value=0, low=0, high=sum(settings.iterations), step=1, label="step"),
@@ -165,23 +160,18 @@ def basin_picture(
     errors_m: Float[np.ndarray, "R C"], sideways_m: Sequence[float], turns_deg: Sequence[float]
 ) -> Picture:
     """Green: from this start ICP ended within 2 cm of the true pose; yellow to red: up to 20 cm and more."""
-    cell, left, low = 30, 62, 40
+    from matplotlib.colors import ListedColormap
+
     R, C = errors_m.shape
-    image = np.full((R * cell + low, left + C * cell + 10, 3), 255, np.uint8)
-    good, fair, bad = (np.array(c, float) for c in ((58, 157, 106), (244, 205, 90), (209, 73, 91)))
-    for i in range(R):
-        for j in range(C):
-            t = float(np.clip(np.log(max(errors_m[i, j], 1e-4) / SUCCESS_M) / np.log(10), -1, 1))
-            colour = good if t <= 0 else fair + (bad - fair) * t
-            y, x = (R - 1 - i) * cell, left + j * cell
-            image[y + 1 : y + cell - 1, x + 1 : x + cell - 1] = colour.astype(np.uint8)
-    for i in (0, R // 2, R - 1):
-        write(image, f"{turns_deg[i]:+.0f} deg", 6, (R - 1 - i) * cell + 20, 1, 0.4)
-    for j in (0, C // 2, C - 1):
-        write(image, f"{sideways_m[j] * 100:+.0f} cm", left + j * cell - 8, R * cell + 16, 1, 0.4)
-    share = float((errors_m < SUCCESS_M).mean())
-    write(image, f"{share:.0%} of the starts converge", left, R * cell + 34, 1, 0.42)
-    return on_card(image)
+    figure, (axes,) = card_figure(30 * C + 80, 30 * R + 80)
+    worse = np.log(np.maximum(errors_m, 1e-4) / SUCCESS_M) / np.log(10)
+    stops = np.linspace((244, 205, 90), (209, 73, 91), 32) / 255
+    axes.pcolormesh(worse, cmap=ListedColormap(stops).with_extremes(under="#3a9d6a"), vmin=0, vmax=1, edgecolor=CARD)
+    x, y = (0, C // 2, C - 1), (0, R // 2, R - 1)
+    axes.set_xticks([j + 0.5 for j in x], [f"{sideways_m[j] * 100:+.0f} cm" for j in x])
+    axes.set_yticks([i + 0.5 for i in y], [f"{turns_deg[i]:+.0f}°" for i in y])
+    style(axes, title=f"{float((errors_m < SUCCESS_M).mean()):.0%} of the starts converge", ink=CARD_INK)
+    return figure_picture(figure)
 
 
 def path_picture(
@@ -199,28 +189,15 @@ def path_picture(
         linked: Name of that path.
         width: Of the picture, pixels.
     """
-    import cv2
-
+    figure, (axes,) = card_figure(width, width)
     xy = {name: np.array([T[:2, 3].tolist() for T in path]) for name, path in paths.items()}
-    every = np.concatenate(list(xy.values()))
-    low, high = every.min(0) - 0.1, every.max(0) + 0.1
-    scale = (width - 20) / max(high[0] - low[0], 0.5)
-    height = round((high[1] - low[1]) * scale) + 20
-    legend = 24 * len(xy)
-    image = np.full((height + legend, width, 3), 255, np.uint8)
-
-    def at(p: np.ndarray) -> tuple[int, int]:
-        return round(16 * (10 + (p[0] - low[0]) * scale)), round(16 * (height - 10 - (p[1] - low[1]) * scale))
-
-    for a, b in links:
-        cv2.line(image, at(xy[linked][a]), at(xy[linked][b]), (205, 190, 225), 1, cv2.LINE_AA, 4)
-    for k, (name, points) in enumerate(xy.items()):
-        ink = tuple(int(PALETTE[k % len(PALETTE)][i : i + 2], 16) for i in (1, 3, 5))
-        for a, b in itertools.pairwise(points):
-            cv2.line(image, at(a), at(b), ink, 2, cv2.LINE_AA, 4)
-        cv2.circle(image, at(points[0]), 5 * 16, ink, -1, cv2.LINE_AA, 4)
-        cv2.circle(image, at(points[-1]), 7 * 16, ink, 2, cv2.LINE_AA, 4)
-        y = height + 24 * k + 16
-        cv2.line(image, (10, y - 4), (40, y - 4), ink, 3, cv2.LINE_AA)
-        write(image, name, 48, y, 1, 0.45)
-    return on_card(image)
+    for pair in links:
+        axes.plot(*xy[linked][list(pair)].T, color=CARD_INK, linewidth=0.6, alpha=0.5)
+    for (name, points), ink in zip(xy.items(), PALETTE, strict=False):
+        axes.plot(*points.T, color=ink, label=name)
+        axes.plot(*points[0], "o", color=ink)
+        axes.plot(*points[-1], "o", color=ink, fillstyle="none", markersize=10)
+    axes.set_aspect("equal", adjustable="datalim")
+    style(axes, x="x, m", y="y, m", ink=CARD_INK)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, labelcolor=CARD_INK, fontsize=8)
+    return figure_picture(figure)

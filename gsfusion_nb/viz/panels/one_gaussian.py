@@ -9,7 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...drawing.pictures import CARD, CARD_INK, AnyImage, Picture, to_uint8
+from ...drawing import pictures
+from ...drawing.curves import CARD, CARD_INK, figure_picture, image_figure, style
+from ...drawing.pictures import AnyImage, Picture, to_uint8
 from ...geometry import project, quaternion
 from ...geometry.spherical_harmonics import rgb_to_sh_dc, sh_basis
 from ...render import TileLists, render, tile_intersections
@@ -17,8 +19,6 @@ from ...types import Camera, GaussianParams
 from ..display import Stroke
 from .panel import Drawn, Panel, Point, Slider, draw_handles, nearest_handle
 from .pixel_stack import Splats, outlines, project_splats
-
-ORANGE, WHITE = (255, 150, 40), (255, 255, 255)
 
 
 def gaussian_row(
@@ -64,20 +64,15 @@ def projection_picture(
     Returns:
         The picture and the splat's numbers.
     """
-    import cv2
-
     splats = project_splats(params, camera, torch.eye(4))
     view = to_uint8(0.12 + 0.88 * render(params, camera, torch.eye(4)).rgb)
-    image = np.asarray(cv2.resize(view, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST), np.uint8)
-    for u, v in _cloud_uv(params, camera, n_points):
-        cv2.circle(image, (round(u * zoom), round(v * zoom)), 1, ORANGE, -1, cv2.LINE_AA)
+    figure, axes = image_figure(view, (zoom * camera.width, zoom * camera.height))
+    axes.plot(*_cloud_uv(params, camera, n_points).T, "o", color="#ff9628", markersize=1.5)
     if bool(splats.projection.visible[0]):
-        ring = outlines(splats, torch.tensor([0]))[0]
-        centre = splats.projection.uv[0].double().numpy()
+        ring, centre = outlines(splats, torch.tensor([0]))[0], splats.projection.uv[0].double().numpy()
         for k in (1, 2):
-            points = ((centre + k * (ring - centre)) * zoom * 16).round().clip(-1e6, 1e6).astype(np.int32)
-            cv2.polylines(image, [points], True, WHITE, 1, cv2.LINE_AA, shift=4)
-    return image, splats
+            axes.plot(*(centre + k * (ring - centre)).T, color="white", linewidth=0.8)
+    return figure_picture(figure), splats
 
 
 def projection_caption(splats: Splats) -> str:
@@ -105,34 +100,31 @@ def sh_ball(sh: Float[Tensor, "K 3"], size: int = 160) -> Picture:
     n, inside = _ball_normals(size)
     degree = round(sh.shape[0] ** 0.5) - 1
     colour = (sh_basis(-n, degree) @ sh + 0.5).clamp(0, 1)
-    image = (torch.tensor(CARD) / 255).repeat(size * size, 1)
+    image = (torch.tensor(pictures.CARD) / 255).repeat(size * size, 1)
     image[inside] = colour
     return to_uint8(image.view(size, size, 3))
 
 
 def basis_atlas(size: int = 104) -> Picture:
     """The 16 basis functions on balls, one row per degree: red where positive, blue where negative."""
-    import cv2
+    from matplotlib.figure import Figure
 
     n, inside = _ball_normals(size)
     Y = sh_basis(-n, 3)
-    atlas = np.full((4 * size, 7 * size, 3), CARD, np.uint8)
+    figure = Figure(figsize=(0.07 * size, 0.04 * size), dpi=100, facecolor=CARD)
+    grid = figure.add_gridspec(4, 7, left=0, right=1, bottom=0, top=1, wspace=0, hspace=0)
     for k in range(16):
         degree = math.isqrt(k)
-        column = 3 - degree + k - degree * degree
-        value = (Y[:, k] / 0.9).clamp(-1, 1)[:, None]
-        red, blue = torch.tensor([0.82, 0.1, 0.1]), torch.tensor([0.1, 0.3, 0.85])
-        colour = 1 - value.abs() * (1 - torch.where(value > 0, red, blue))
-        tile = (torch.tensor(CARD) / 255).repeat(size * size, 1)
-        tile[inside] = colour
-        y, x = degree * size, column * size
-        atlas[y : y + size, x : x + size] = to_uint8(tile.view(size, size, 3))
-        cv2.circle(atlas, (x + size // 2, y + size // 2), round(0.44 * size), (150, 156, 166), 1, cv2.LINE_AA)
-        cv2.putText(atlas, f"Y{k}", (x + 3, y + 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, CARD_INK, 1, cv2.LINE_AA)
-    return atlas
+        tile = np.full(size * size, np.nan)
+        tile[inside] = Y[:, k]
+        axes = figure.add_subplot(grid[degree, 3 - degree + k - degree * degree])
+        axes.imshow(tile.reshape(size, size), cmap="bwr", vmin=-0.9, vmax=0.9)
+        axes.set_axis_off()
+        axes.text(3, 13, f"Y{k}", color=CARD_INK, fontsize=8)
+    return figure_picture(figure)
 
 
-def _cloud_uv(params: GaussianParams, camera: Camera, n: int) -> list[list[float]]:
+def _cloud_uv(params: GaussianParams, camera: Camera, n: int) -> np.ndarray:
     """Exact projections of points drawn from the first Gaussian; those behind the camera are left out."""
     unit = torch.randn(n, 3, generator=torch.Generator().manual_seed(0))
     R = quaternion.to_matrix(params.quat[0])
@@ -140,7 +132,7 @@ def _cloud_uv(params: GaussianParams, camera: Camera, n: int) -> list[list[float
     xyz = xyz[xyz[:, 2] > 0.05]
     uv = project(camera, xyz)
     inside = (uv > 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
-    return uv[inside].tolist()
+    return uv[inside].numpy()
 
 
 def _ball_normals(size: int) -> tuple[Tensor, Tensor]:
@@ -161,28 +153,17 @@ def tile_picture(image: AnyImage, tiles: TileLists, *, scale: int = 2, strength:
         scale: Screen pixels per pixel.
         strength: Opacity of the colours.
     """
-    import cv2
-
     count = tiles.offset.diff().view(tiles.tiles_y, tiles.tiles_x).cpu().numpy()
-    most = max(int(count.max(initial=0)), 1)
-    level = (count * 255 // most).astype(np.uint8)
-    heat = cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[..., ::-1]
-    picture = to_uint8(image)
-    H, W = picture.shape[:2]
-    heat = cv2.resize(heat, None, fx=tiles.tile_px, fy=tiles.tile_px, interpolation=cv2.INTER_NEAREST)[:H, :W]
-    mixed = cv2.addWeighted(np.ascontiguousarray(heat), strength, picture, 1 - strength, 0)
-    mixed = np.asarray(cv2.resize(mixed, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST), np.uint8)
-    step = tiles.tile_px * scale
-    mixed[::step] = mixed[::step] // 2
-    mixed[:, ::step] = mixed[:, ::step] // 2
-    bar = np.full((26, mixed.shape[1], 3), CARD, np.uint8)
-    ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], cv2.COLORMAP_VIRIDIS)[..., ::-1]
-    bar[7:19, 20:160] = np.asarray(cv2.resize(np.ascontiguousarray(ramp), (140, 12)), np.uint8)
-    ink, font = CARD_INK, cv2.FONT_HERSHEY_SIMPLEX
-    cv2.putText(bar, "0", (6, 18), font, 0.42, ink, 1, cv2.LINE_AA)
-    words = f"{most} Gaussians in one tile of {tiles.tile_px} x {tiles.tile_px} px"
-    cv2.putText(bar, words, (168, 18), font, 0.42, ink, 1, cv2.LINE_AA)
-    return np.concatenate([mixed, bar])
+    height, width = image.shape[:2]
+    figure, axes = image_figure(image, (scale * width, scale * height))
+    axes.pcolormesh(
+        np.arange(tiles.tiles_x + 1) * tiles.tile_px, np.arange(tiles.tiles_y + 1) * tiles.tile_px, count,
+        vmin=0, alpha=strength, edgecolor="#00000080", linewidth=0.5,
+    )  # fmt: skip
+    bar = axes.inset_axes((0.02, 0.03, 0.4, 0.03))
+    figure.colorbar(axes.collections[0], cax=bar, orientation="horizontal")
+    style(bar, title=f"Gaussians in one tile of {tiles.tile_px} x {tiles.tile_px} px", ink="white")
+    return figure_picture(figure)
 
 
 _BALL_PX = 280
@@ -267,7 +248,7 @@ def sh_ball_panel() -> Panel:
     def draw(k: int, red: float | int, green: float | int, blue: float | int) -> Drawn:
         sh = torch.zeros(16, 3)
         sh[k] = torch.tensor([red, green, blue], dtype=torch.float32)
-        return _with_axes(sh_ball(sh, _BALL_PX)), f"all coefficients are 0 but sh<sub>{k}</sub>"
+        return sh_ball(sh, _BALL_PX), f"all coefficients are 0 but sh<sub>{k}</sub>"
 
     controls = {
         "k": Slider(value=3, low=0, high=15, step=1, label="function k"),
@@ -277,15 +258,3 @@ def sh_ball_panel() -> Panel:
         },
     }
     return Panel(draw, controls, name="sh-ball", kind="png", text="A Gaussian's colour from all sides")
-
-
-def _with_axes(ball: Picture) -> Picture:
-    """Small x and y arrows in the corner; z points into the picture."""
-    import cv2
-
-    picture, ink = ball.copy(), CARD_INK
-    o = (10, 10)
-    for end, name, at in (((38, 10), "x", (42, 15)), ((10, 38), "y", (6, 54))):
-        cv2.arrowedLine(picture, o, end, ink, 1, cv2.LINE_AA, tipLength=0.25)
-        cv2.putText(picture, name, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA)
-    return np.ascontiguousarray(picture)

@@ -13,7 +13,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...drawing.pictures import Picture
+from ...drawing.pictures import LABEL_PX, Picture
+from ...types import Camera
 from ..display import Bundle, ClickImage, LostNotice, Stroke, with_picture
 
 Number = float | int
@@ -139,11 +140,10 @@ class Panel:
             try:
                 self._picture, words = self.draw(**self.values)
             except Exception as e:  # a traceback in a callback is seen nowhere
-                self.caption.value = f'<span style="color:#b3261e">{html.escape(f"{type(e).__name__}: {e}")}</span>'
+                self._show_error(e)
                 return
-            height, width = self._picture.shape[:2]
-            self.image.size, self.image.width = (width, height), width
-            self.image.alt = f"{self.text}: {_spoken(words)}"
+            self.image.width = self._picture.shape[1]
+            self.image.alt = f"{self.text}: {_spoken(words.partition('<table')[0])}"
             self.image.show(self._picture)
             self.caption.value = words
 
@@ -162,13 +162,17 @@ class Panel:
         for label, button in self.buttons.items():
             button.add_class(f"gsnb-{self.name}-{label.lower().replace(' ', '-')}")
             button.on_click(lambda _, act=buttons[label]: self._pressed(act))
-        self.image = ClickImage(1, 1, format=self.kind, alt=self.text, touch="stroke" if self._touch else "")
+        self.image = ClickImage(format=self.kind, alt=self.text, touch="stroke" if self._touch else "")
         self.image.add_class(f"gsnb-{self.name}-image")
         self.image.on_stroke(self._touched)
         self.caption = w.HTML()
         self.caption.add_class(f"gsnb-{self.name}-text")
         self.widget = beside(self.image, list(self.controls.values()), list(self.buttons.values()), self.caption)
         self.widget.add_class(f"gsnb-{self.name}")
+
+    def _show_error(self, error: Exception) -> None:
+        said = html.escape(f"{type(error).__name__}: {error}")
+        self.caption.value = f'<span style="color:#b3261e">{said}</span>'
 
     def _changed(self, _change: Any) -> None:
         if not self._quiet:
@@ -179,7 +183,13 @@ class Panel:
             if stroke.number != self._stroke:
                 self._stroke, self._grabbed = stroke.number, self.values
             if self._touch is not None:
-                self.set(**{k: _on_step(self.controls[k], x) for k, x in self._touch(stroke, self._grabbed).items()})
+                try:
+                    changed = self._touch(stroke, self._grabbed)
+                except ValueError as e:
+                    self._show_error(e)
+                    return
+                if changed:
+                    self.set(**{k: _on_step(self.controls[k], x) for k, x in changed.items()})
 
     def _pressed(self, act: Callable[[], Any]) -> None:
         with self.lock:
@@ -228,6 +238,25 @@ def _widget(control: Control) -> Any:
     if isinstance(c.step, int) and isinstance(c.value, int):
         return w.IntSlider(min=c.low, max=c.high, **shared, **place)
     return w.FloatSlider(min=c.low, max=c.high, readout_format=c.readout, **shared, **place)
+
+
+def pixel_sliders(camera: Camera, pixel: tuple[int, int] | None = None) -> dict[str, Slider]:
+    """Sliders ``u`` and ``v`` for a pixel of a picture, which start in its middle by default."""
+    u, v = pixel or (camera.width // 2, camera.height // 2)
+    return {
+        "u": Slider(value=u, low=0, high=camera.width - 1, step=1, label="pixel column u"),
+        "v": Slider(value=v, low=0, high=camera.height - 1, step=1, label="pixel row v"),
+    }
+
+
+def touched_pixel(stroke: Stroke, camera: Camera, zoom: float = 1.0) -> dict[str, int]:
+    """Values of ``pixel_sliders`` under the pointer, for a labelled image that is ``zoom`` times as large.
+
+    Empty if the drag began outside it.
+    """
+    (u0, v0), (u, v) = (((u / zoom), (v - LABEL_PX) / zoom) for u, v in (stroke.start, stroke.now))
+    inside = 0 <= u0 < camera.width and 0 <= v0 < camera.height
+    return {"u": math.floor(u), "v": math.floor(v)} if inside else {}
 
 
 Point = tuple[float | int, float | int]

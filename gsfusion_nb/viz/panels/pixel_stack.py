@@ -5,8 +5,9 @@ pixels, with the formulas of ``render.composite`` but without the lists of the t
 list is seen here.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -14,16 +15,19 @@ from jaxtyping import Float, Int
 from markupsafe import Markup
 from torch import Tensor
 
+from ...drawing.curves import BETWEEN, CARD_INK, PALETTE, card_figure, figure_picture, image_figure, style
 from ...drawing.page import html_table
-from ...drawing.pictures import CARD, CARD_INK, AnyImage, Picture, to_uint8
+from ...drawing.pictures import AnyImage, Picture, to_uint8
 from ...geometry.spherical_harmonics import sh_to_rgb
 from ...render import Projection, blend_rows, project_gaussians
 from ...types import Camera, GaussianParams
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 TABLE_ROWS = 14
-"""Rows of the table; the rest is summed up in one line."""
-CELL_STYLE = "text-align:right;padding:1px 8px;line-height:1.35"
-"""CSS of the cells of the microscopes' tables."""
+"""Gaussians in a table; of the others their number is given."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,8 +133,30 @@ class PixelStack:
         r, g, b = self.colour.tolist()
         return f"PixelStack(pixel ({self.u}, {self.v}), {len(self)} Gaussians, colour {r:.3f} {g:.3f} {b:.3f})"
 
+    @property
+    def caption(self) -> str:
+        """Number of Gaussians and their sum, as HTML."""
+        return f"<b>{len(self)} Gaussians</b>, sum of w c = {rgb_text(self.colour)}"
+
+    def graph(self, size: tuple[int, int]) -> Picture:
+        """Bars of alpha and weight, nearest at the left, steps of the transmittance, and the colour as it builds up."""
+        title = "red: light left T, pale: alpha, full: weight w = alpha T; below: the colour summed up so far"
+        strips = {"sum": self.contribution.cumsum(0)}
+        light = self.transmittance
+        return weights_graph(size, self.rgb, self.weight, strips, title=title, alpha=self.alpha, light=light)
+
     def _repr_html_(self) -> str:
-        return stack_table(self)
+        index = Markup("{}<sub>k</sub>")
+        heads = ("k", "row", "depth m", index.format("α"), index.format("T"), index.format("w") + " = α T",
+                 index.format("c"), "w c")  # fmt: skip
+        numbers = (self.depth_m, self.alpha, self.transmittance, self.weight)
+        lines = [
+            (str(k), str(int(self.row[k])), *(f"{x[k]:.3f}" for x in numbers), swatch(self.rgb[k]), rgb_text(wc))
+            for k, wc in enumerate(self.contribution[:TABLE_ROWS])
+        ]
+        left, weight = f"left {self.light_left:.3f}", f"{self.weight.sum():.3f}"
+        total = ("", "sum", "", "", left, weight, swatch(self.colour), rgb_text(self.colour))
+        return numbers_table(heads, lines, total, n=len(self))
 
 
 def pixel_stack(splats: Splats, u: int, v: int) -> PixelStack:
@@ -169,33 +195,14 @@ def check_pixel(camera: Camera, u: int, v: int) -> None:
         )
 
 
-def stack_table(stack: PixelStack, rows: int = TABLE_ROWS) -> str:
-    """The stack as an HTML table: row, depth, alpha, T, weight, colour, contribution, and the sum below."""
-    index = Markup("{}<sub>k</sub>")
-    heads = (
-        "k",
-        "row",
-        "depth m",
-        index.format("α"),
-        index.format("T"),
-        index.format("w") + " = α T",
-        index.format("c"),
-    )
-    shown = min(len(stack), rows)
-    lines: list[tuple[str, ...]] = []
-    for k in range(shown):
-        numbers = (f"{x[k]:.3f}" for x in (stack.depth_m, stack.alpha, stack.transmittance, stack.weight))
-        lines.append((str(k), str(int(stack.row[k])), *numbers, swatch(stack.rgb[k]), rgb_text(stack.contribution[k])))
-    if shown < len(stack):
-        weight, contribution = stack.weight[shown:].sum(), stack.contribution[shown:].sum(0)
-        more = f"… {len(stack) - shown} more"
-        lines.append(("", more, "", "", "", f"{weight:.3f}", "", rgb_text(contribution)))
-    total = (
-        "", "sum", "", "", f"left {stack.light_left:.3f}", f"{stack.weight.sum():.3f}",
-        swatch(stack.colour), rgb_text(stack.colour),
-    )  # fmt: skip
-    lines.append(tuple(Markup("<b>{}</b>").format(x) for x in total))
-    return html_table(lines, heads=(*heads, "w c"), name="gsnb-stack", style="font-size:12px", cell_style=CELL_STYLE)
+def numbers_table(
+    heads: Sequence[str], lines: Sequence[tuple[str, ...]], total: tuple[str, ...] = (), *, n: int
+) -> str:
+    """The table of a microscope: a line for each of the first of ``n`` Gaussians, and their total."""
+    last = [tuple(Markup("<b>{}</b>").format(x) for x in total)] if total else []
+    foot = f"and {n - TABLE_ROWS} more Gaussians" if n > TABLE_ROWS else ""
+    style, cells = "font-size:12px", "text-align:right;padding:1px 8px;line-height:1.35"
+    return html_table([*lines, *last], heads=heads, foot=foot, name="gsnb-stack", style=style, cell_style=cells)
 
 
 def swatch(rgb: Float[Tensor, "3"]) -> Markup:
@@ -210,79 +217,47 @@ def rgb_text(rgb: Tensor) -> str:
     return " ".join(f"{float(x):.3f}" for x in rgb)
 
 
-INK, FAINT, LIGHT = (28, 36, 48), (84, 92, 104), (229, 98, 115)
-"""Colour of lines in pictures, of grid lines on the card, and of the curve of the transmittance."""
-CROSS = (255, 210, 0)
-"""Colour of the mark at the chosen pixel."""
+INK, CROSS = "#1c2430", "#ffd200"
+"""Lines in pictures, and the mark at the chosen pixel."""
 
 
-def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, scale: int = 2) -> Picture:
-    """One bar per Gaussian, nearest at the left, and below them the colour as it builds up.
-
-    The pale bar is alpha, the full one the weight, in the Gaussian's colour; the red steps are the transmittance. The
-    strip at the bottom is the sum of w c so far: its right end is the colour of the pixel.
-
-    Args:
-        stack: From ``pixel_stack``.
-        width, height: Size on screen, pixels.
-        scale: Picture pixels per screen pixel.
-    """
-    import cv2
-
-    s = scale
-    image, (left, right, top, bottom) = empty_graph(width, height, s, left_px=40, below_px=66)
-    strip = slice((height - 40) * s, (height - 24) * s)
-    write(image, "red: light left T   pale: alpha   full: weight w = alpha T", left, 14 * s, s, ink=CARD_INK)
-    write(image, "sum", 10 * s, strip.stop - 4 * s, s, ink=CARD_INK)
-    caption = "nearest Gaussian first, to the farthest; below: the colour summed up so far"
-    write(image, caption, left, (height - 8) * s, s, ink=CARD_INK)
-    edges = np.linspace(left, right, max(len(stack), 1) + 1).round().astype(int)
-    _bars(image, stack, edges, (top, bottom), s)
-    colours = to_uint8(stack.contribution.cumsum(0).clamp(0, 1)[None])[0]
-    for k, colour in enumerate(colours):
-        image[strip, edges[k] : edges[k + 1]] = colour
-    T = np.array([*stack.transmittance.tolist(), stack.light_left])
-    y = (bottom + T * (top - bottom)).round().astype(int)
-    steps = list(zip(edges[: len(T)], y, strict=True))
-    corners = [steps[0], *(c for a, b in pairwise(steps) for c in ((b[0], a[1]), b)), (right, y[-1])]
-    cv2.polylines(image, [np.array(corners, np.int32)], False, LIGHT, s, cv2.LINE_AA)
-    return image
-
-
-def empty_graph(
-    width: int, height: int, scale: int, *, left_px: int, below_px: int
-) -> tuple[Picture, tuple[int, int, int, int]]:
-    """A card with lines at 0, 0.5 and 1, and where they are: left, right, top (1) and bottom (0), picture pixels.
+def weights_graph(
+    size: tuple[int, int],
+    rgb: Float[Tensor, "K 3"],
+    weight: Float[Tensor, " K"],
+    strips: Mapping[str, Float[Tensor, "K 3"]],
+    *,
+    title: str,
+    alpha: Float[Tensor, " K"] | None = None,
+    light: Float[Tensor, " K"] | None = None,
+) -> Picture:
+    """One bar for each sample of a pixel in its colour, and below them strips: how its colour builds up.
 
     Args:
-        width, height: Size on screen, pixels.
-        scale: Picture pixels per screen pixel.
-        left_px, below_px: Room at the left of the lines and below them, screen pixels.
+        size: Width and height, pixels.
+        rgb, weight: Of each sample, in the order of blending.
+        strips: Name -> colour after each sample.
+        title: What the bars are.
+        alpha: Pale bars behind those of the weights.
+        light: Red steps: the light left in front of each sample.
     """
-    import cv2
-
-    s = scale
-    image = np.full((height * s, width * s, 3), CARD, np.uint8)
-    left, right, top, bottom = left_px * s, (width - 12) * s, 24 * s, (height - below_px) * s
-    for value in (0.0, 0.5, 1.0):
-        y = round(bottom + value * (top - bottom))
-        cv2.line(image, (left, y), (right, y), FAINT, s)
-        write(image, f"{value:g}", 10 * s, y + 4 * s, s, ink=CARD_INK)
-    return image, (left, right, top, bottom)
-
-
-def _bars(image: Picture, stack: PixelStack, edges: np.ndarray, span: tuple[int, int], gap: int) -> None:
-    """Alpha and weight of each Gaussian as bars between ``edges``, in place."""
-    import cv2
-
-    top, bottom = span
-    full = to_uint8(stack.rgb[None])[0].astype(float)
-    for k, colour in enumerate(full):
-        x0, x1 = int(edges[k]), max(int(edges[k + 1]) - gap, int(edges[k]) + 1)
-        for value, fill in ((stack.alpha[k], 0.35 * colour + 0.65 * np.array(CARD)), (stack.weight[k], colour)):
-            y = round(bottom + float(value) * (top - bottom))
-            cv2.rectangle(image, (x0, y), (x1, bottom), tuple(int(c) for c in fill), -1)
-            cv2.rectangle(image, (x0, y), (x1, bottom), (150, 156, 166), 1)
+    figure, (bars, *below) = card_figure(*size, 1 + len(strips), gridspec_kw={"height_ratios": (7, *[1] * len(strips))})
+    style(bars, title=title, ink=CARD_INK)
+    at, colours = np.arange(len(rgb)), rgb.clamp(0, 1).numpy()
+    if alpha is not None:
+        bars.bar(at, alpha.numpy(), 0.9, color=colours, alpha=0.35)
+    bars.bar(at, weight.numpy(), 0.9, color=colours, edgecolor=BETWEEN, linewidth=0.5)
+    if light is not None and len(light):
+        bars.stairs(light.numpy(), np.arange(len(rgb) + 1) - 0.5, baseline=None, color=PALETTE[3], linewidth=1.5)
+    bars.set_ylim(0, 1.02)
+    for axes, (name, strip) in zip(below, strips.items(), strict=True):
+        axes.imshow(strip.clamp(0, 1).numpy()[None], aspect="auto", extent=(-0.5, len(rgb) - 0.5, 0, 1))
+        axes.set_ylabel(name, rotation=0, ha="right", va="center")
+        axes.set_yticks([])
+    for axes in (bars, *below):
+        axes.set_xlim(-0.5, max(len(rgb), 1) - 0.5)
+        axes.set_xticks([])
+    return figure_picture(figure)
 
 
 def lens_picture(
@@ -306,43 +281,31 @@ def lens_picture(
         radius_px: Pixels of the image to each side.
         size: Edge of the result, pixels.
     """
-    import cv2
-
-    view, zoom, corner = enlarged(image, pixel, radius_px, size)
-    for i, outline in reversed(list(enumerate(outlines(splats, rows)))):
-        draw_ring(view, (outline - corner) * zoom, INK, 1 if i else 2)
-    x = y = round(radius_px * zoom)
-    cv2.rectangle(view, (x, y), (x + round(zoom), y + round(zoom)), CROSS, 2)
-    return view
+    figure, axes = lens_figure(image, pixel, radius_px, size)
+    draw_ellipses(axes, splats, rows, INK)
+    return figure_picture(figure)
 
 
-def enlarged(
-    image: AnyImage, pixel: tuple[int, int], radius_px: int, size: int
-) -> tuple[Picture, float, Float[np.ndarray, "2"]]:
-    """A square around a pixel, enlarged without smoothing, light grey beyond the border of the image.
+def lens_figure(image: AnyImage, pixel: tuple[int, int], radius_px: int, size: int) -> tuple["Figure", "Axes"]:
+    """A square around a pixel, which is framed; ``image_figure`` with ``radius_px`` more pixels to each side."""
+    from matplotlib.patches import Rectangle
 
-    Returns:
-        The picture, size x size; screen pixels for each pixel; and the pixel at its upper left corner.
-    """
-    import cv2
-
-    picture, n = to_uint8(image), 2 * radius_px + 1
-    (H, W), (u0, v0) = picture.shape[:2], (pixel[0] - radius_px, pixel[1] - radius_px)
-    crop = np.full((n, n, 3), 236, np.uint8)
-    a, b, c, d = max(v0, 0), min(v0 + n, H), max(u0, 0), min(u0 + n, W)
-    if a < b and c < d:
-        crop[a - v0 : b - v0, c - u0 : d - u0] = picture[a:b, c:d]
-    view = np.asarray(cv2.resize(crop, (size, size), interpolation=cv2.INTER_NEAREST), np.uint8)
-    return np.ascontiguousarray(view), size / n, np.array([u0, v0], np.float64)
+    (u, v), r = pixel, radius_px
+    figure, axes = image_figure(image, (size, size), (u - r, u + r + 1, v - r, v + r + 1))
+    axes.add_patch(Rectangle(pixel, 1, 1, fill=False, edgecolor=CROSS, linewidth=1.5, zorder=5))
+    return figure, axes
 
 
-def draw_ring(view: Picture, points: np.ndarray, ink: tuple[int, ...], wide: int) -> None:
-    """Draw a closed line with a white seam, in place; ``points`` in pixels of the view."""
-    import cv2
+def draw_ellipses(axes: "Axes", splats: Splats, rows: Int[Tensor, " K"], inks: Any) -> None:
+    """Outlines of one standard deviation with a white seam, the first row's on top and thicker; one ink or one each."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patheffects import withStroke
 
-    fixed = (points * 16).round().clip(-1e6, 1e6).astype(np.int32)
-    cv2.polylines(view, [fixed], True, (255, 255, 255), wide + 2, cv2.LINE_AA, shift=4)
-    cv2.polylines(view, [fixed], True, ink, wide, cv2.LINE_AA, shift=4)
+    wide = [1.0] * (len(rows) - 1) + [2.0]
+    axes.add_collection(PolyCollection(
+        list(outlines(splats, rows)[::-1]), facecolors="none", edgecolors=inks if isinstance(inks, str) else inks[::-1],
+        linewidths=wide, path_effects=[withStroke(linewidth=3, foreground="white")],
+    ))  # fmt: skip
 
 
 def outlines(splats: Splats, rows: Int[Tensor, " K"], points: int = 48) -> Float[np.ndarray, "K points 2"]:
@@ -355,15 +318,10 @@ def ellipse_outlines(
 ) -> Float[np.ndarray, "K points 2"]:
     """Ellipses of one standard deviation as polygons, pixels: u + L (cos t, sin t) with L L^T = cov = conic^-1."""
     A, B, C = conic.double().unbind(-1)
-    det = A * C - B * B
-    cov_uu, cov_uv, cov_vv = C / det, -B / det, A / det
-    l11 = cov_uu.sqrt()
-    l21 = cov_uv / l11
-    l22 = (cov_vv - l21 * l21).clamp_min(0).sqrt()
+    cov = torch.linalg.inv(torch.stack([A, B, B, C], -1).view(-1, 2, 2))
     t = torch.linspace(0, 2 * torch.pi, points + 1, dtype=torch.float64)[:-1]
-    cos, sin = t.cos(), t.sin()
-    ring = torch.stack([l11[:, None] * cos, l21[:, None] * cos + l22[:, None] * sin], -1)
-    return (uv.double()[:, None] + ring).numpy()
+    ring = torch.linalg.cholesky(cov) @ torch.stack([t.cos(), t.sin()])
+    return (uv.double()[:, :, None] + ring).mT.numpy()
 
 
 def with_cross(image: AnyImage, u: int, v: int, height: int) -> Picture:
@@ -380,7 +338,7 @@ def draw_cross(picture: Picture, at: tuple[float, float]) -> Picture:
     for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         inner, outer = ((x + r * dx, y + r * dy) for r in (4, 12))
         cv2.line(image, inner, outer, (0, 0, 0), 4)
-        cv2.line(image, inner, outer, CROSS, 2)
+        cv2.line(image, inner, outer, (255, 210, 0), 2)
     return image
 
 
@@ -392,18 +350,6 @@ def resize_to_height(image: AnyImage, height: int) -> Picture:
     zoom = height / picture.shape[0]
     how = cv2.INTER_AREA if zoom < 1 else cv2.INTER_NEAREST
     return np.asarray(cv2.resize(picture, (round(picture.shape[1] * zoom), height), interpolation=how), np.uint8)
-
-
-def write(
-    image: Picture, words: str, x: int, y: int, scale: int, size: float = 0.36, ink: tuple[int, ...] = INK
-) -> None:
-    """Write small text into a drawing, in place; text too long for it is written smaller."""
-    import cv2
-
-    font = cv2.FONT_HERSHEY_SIMPLEX
-    (wide, _), _ = cv2.getTextSize(words, font, size * scale, scale)
-    size *= min(1.0, (image.shape[1] - x - 4) / max(wide, 1))
-    cv2.putText(image, words, (x, y), font, size * scale, ink, max(1, scale // 2), cv2.LINE_AA)
 
 
 def ellipse_picture(splats: Splats, height: int) -> Picture:

@@ -73,24 +73,11 @@ def quadtree_picture(
 
 def cell_means(rgb_u8: UInt8[Tensor, "H W 3"], cells: Cells) -> UInt8[Tensor, "H W 3"]:
     """The image with every cell filled by its mean colour."""
-    x0, y0, w, h = (a.long() for a in (cells.x0, cells.y0, cells.width, cells.height))
-    table = torch.nn.functional.pad(rgb_u8.long().cumsum(0).cumsum(1), (0, 0, 1, 0, 1, 0))
-    sums = table[y0 + h, x0 + w] - table[y0, x0 + w] - table[y0 + h, x0] + table[y0, x0]
-    mean = (sums.double() / (w * h)[:, None]).round().to(torch.uint8)
-    return mean[_owner(cells, rgb_u8.shape[0], rgb_u8.shape[1])]
-
-
-def _owner(cells: Cells, height: int, width: int) -> Tensor:
-    """Row of the cell that each pixel belongs to."""
-    n = len(cells)
-    x0, y0 = cells.x0.long(), cells.y0.long()
-    count = (cells.width * cells.height).long()
-    row = torch.arange(n).repeat_interleave(count)
-    nth = torch.arange(int(count.sum())) - (count.cumsum(0) - count)[row]
-    across = cells.width.long()[row]
-    owner = torch.zeros(height, width, dtype=torch.int64)
-    owner[y0[row] + nth // across, x0[row] + nth % across] = row
-    return owner
+    image = rgb_u8.numpy().copy()
+    for x, y, w, h in zip(*(a.tolist() for a in (cells.x0, cells.y0, cells.width, cells.height)), strict=True):
+        cell = image[y : y + h, x : x + w]
+        cell[:] = np.rint(cell.mean((0, 1)))
+    return torch.from_numpy(image)
 
 
 def _discs(photo: Picture, cells: Cells) -> Picture:
@@ -180,18 +167,15 @@ def _control(name: str, default: Any, words: Sequence[str], limits: tuple[float 
         return Switch(value=default, label=name)
     if isinstance(default, str):
         return Choice(value=default, options=words, label=name)
-    if limits and all(isinstance(limit, int) for limit in limits) and not isinstance(default, int):
-        return Slider(value=default, low=limits[0], high=limits[1], step=1.0, label=name, readout=".3g")
     if isinstance(default, int):
         low, high = limits or (min(default, 1), max(4, 4 * default))
         return Slider(value=default, low=int(low), high=int(high), step=1, label=name)
-    if default > 0:
-        low, high = limits or (default / REACH, default * REACH)
-        if low > 0:
-            return Slider(value=default, low=low, high=high, step=0.02, label=name, log=True, readout=".3g")
-        return Slider(value=default, low=low, high=high, step=(high - low) / 100, label=name, readout=".3g")
-    low, high = limits or (default - 1, default + 1)
-    return Slider(value=default, low=low, high=high, step=(high - low) / 100, label=name, readout=".3g")
+    usual = (default / REACH, default * REACH) if default > 0 else (default - 1, default + 1)
+    low, high = limits or usual
+    whole = bool(limits) and all(isinstance(limit, int) for limit in limits or ())
+    log = low > 0 and not whole
+    step = 1.0 if whole else 0.02 if log else (high - low) / 100
+    return Slider(value=default, low=low, high=high, step=step, label=name, log=log, readout=".3g")
 
 
 def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
@@ -244,12 +228,11 @@ def rule_picture(
     finally:
         ctx.memory.clear()
         ctx.memory.update(memory)
-    if show == "places":
-        picture = _with_dots(
-            (to_uint8(ctx.frame.colour).repeat(scale, 0).repeat(scale, 1) * 0.5), ctx.frame, seeds, scale
-        )
-    else:
-        picture = _rendered(ctx, seeds, with_map=show == "map and new").repeat(scale, 0).repeat(scale, 1)
+    if show != "places":
+        return _rendered(ctx, seeds, with_map=show == "map and new").repeat(scale, 0).repeat(scale, 1), seeds
+    picture = (to_uint8(ctx.frame.colour).repeat(scale, 0).repeat(scale, 1) * 0.5).astype(np.uint8)
+    xyz_C = se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W)
+    paint_points(picture, project(ctx.camera, xyz_C[xyz_C[:, 2] > 0]) * scale - 1, SEED_COLOUR)
     return picture, seeds
 
 
@@ -292,13 +275,6 @@ def _sizes(seeds: Seeds) -> str:
     size_cm = 100 * seeds.scale_m.amax(dim=1)
     low, mid, high = size_cm.quantile(torch.tensor([0.1, 0.5, 0.9]).to(size_cm)).tolist()
     return f"standard deviation: median {mid:.2g} cm, 80 % between {low:.2g} and {high:.2g} cm"
-
-
-def _with_dots(picture: np.ndarray, frame: Frame, seeds: Seeds, scale: int) -> Picture:
-    image = picture.astype(np.uint8)
-    xyz_C = se3.apply(se3.inverse(frame.T_WC), seeds.xyz_W)
-    paint_points(image, project(frame.camera, xyz_C[xyz_C[:, 2] > 0]) * scale - 1, SEED_COLOUR)
-    return image
 
 
 def _rendered(ctx: SeedContext, seeds: Seeds, *, with_map: bool) -> Picture:

@@ -4,13 +4,10 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from ...drawing.curves import PALETTE
-from ...drawing.pictures import CARD, CARD_INK, Picture, fit_width
+from ...drawing.curves import CARD_INK, PALETTE, card_figure, figure_picture, style
+from ...drawing.pictures import Picture, fit_width, side_by_side
 from ...optim import Keyframe
 from .panel import Drawn, Panel, Slider
-
-_FAINT = (84, 92, 104)
-_LEFT, _RIGHT, _BAR = 92, 14, 44
 
 
 def stage_means(seconds: list[dict[str, float]], *, least_share: float = 0.002) -> dict[str, float]:
@@ -33,34 +30,25 @@ def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> 
         runs: Label -> stage -> seconds per frame. At least one.
         width: Of the picture, pixels.
     """
-    import cv2
-
     if not runs:
         raise ValueError("stage_bars needs at least one run, got none")
-    stages = list(dict.fromkeys(stage for run in runs.values() for stage in run))
+    figure, (axes,) = card_figure(width, 70 * len(runs) + 60)
     longest = max(sum(run.values()) for run in runs.values()) or 1.0
-    image = np.full((len(runs) * (_BAR + 26) + 34, width, 3), CARD, np.uint8)
-    scale = (width - _LEFT - _RIGHT - 160) / longest
-    for row, (label, run) in enumerate(runs.items()):
-        y, x = row * (_BAR + 26) + 8, float(_LEFT)
-        _text(image, label, 6, y + 28, CARD_INK)
-        for stage in stages:
-            long = run.get(stage, 0.0) * scale
-            box = (round(x), y), (max(round(x + long) - 1, round(x)), y + _BAR)
-            cv2.rectangle(image, *box, _colour(stages.index(stage)), -1)
-            if long > 42:
-                _text(image, _short(1e3 * run[stage]), round(x) + 6, y + 28, (255, 255, 255))
-            x += long
-        total = sum(run.values())
-        rate = f"{_short(1e3 * total)} ms, {_short(1 / total)} frames/s" if total else ""
-        _text(image, rate, round(x) + 6, y + 28, CARD_INK)
-    x = _LEFT
-    for k, stage in enumerate(stages):
-        y = image.shape[0] - 24
-        cv2.rectangle(image, (x, y), (x + 12, y + 12), _colour(k), -1)
-        _text(image, stage, x + 17, y + 11, CARD_INK)
-        x += 34 + 9 * len(stage)
-    return image
+    left = dict.fromkeys(runs, 0.0)
+    for stage, ink in zip(dict.fromkeys(stage for run in runs.values() for stage in run), PALETTE * 3, strict=False):
+        ms = [1e3 * run.get(stage, 0.0) for run in runs.values()]
+        bars = axes.barh(list(runs), ms, left=list(left.values()), color=ink, label=stage)
+        inside = [_short(x) if x > 60 * longest else "" for x in ms]
+        axes.bar_label(bars, inside, label_type="center", color="white", fontsize=8)
+        left = {label: left[label] + x for label, x in zip(runs, ms, strict=True)}
+    rates = [f" {_short(x)} ms, {_short(1e3 / x)} frames/s" if x else "" for x in left.values()]
+    for row, rate in enumerate(rates):
+        axes.text(list(left.values())[row], row, rate, color=CARD_INK, fontsize=8, va="center")
+    axes.set_xlim(0, 1250 * longest)
+    axes.invert_yaxis()
+    style(axes, x="ms per frame", ink=CARD_INK)
+    figure.legend(loc="outside lower left", ncols=8, frameon=False, labelcolor=CARD_INK, fontsize=8, handlelength=1)
+    return figure_picture(figure)
 
 
 def sped_up(seconds: Mapping[str, float], factors: Mapping[str, float | int]) -> dict[str, float]:
@@ -99,22 +87,8 @@ def _short(number: float) -> str:
     return f"{number:.3g}" if number < 1000 else f"{number:,.0f}"
 
 
-def _colour(k: int) -> tuple[int, ...]:
-    colour = PALETTE[k % len(PALETTE)]
-    return tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
-
-
-def _text(image: Picture, words: str, x: int, y: int, ink: tuple[int, ...]) -> None:
-    import cv2
-
-    cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA)
-
-
-_BAR_PX = 14
-
-
 def keyframe_strip(keyframes: Iterable[Keyframe], *, columns: int = 10, width: int = 900, most: int = 40) -> Picture:
-    """Thumbnails in rows, in the order they were taken, each with its frame number under it.
+    """Thumbnails in rows, in the order they were taken, each with its frame number above it.
 
     Args:
         keyframes: ``mapper.keyframes``.
@@ -123,33 +97,15 @@ def keyframe_strip(keyframes: Iterable[Keyframe], *, columns: int = 10, width: i
         most: At most this many keyframes are shown, evenly spread over the run.
 
     Returns:
-        White where there is nothing; one white row of pixels if there are no keyframes.
+        One white row of pixels if there are no keyframes.
     """
     shown = list(keyframes)
-    if len(shown) > most:
-        shown = [shown[round(i * (len(shown) - 1) / (most - 1))] for i in range(most)]
-    tiles = [_tile(keyframe, width // columns) for keyframe in shown]
-    rows = [tiles[i : i + columns] for i in range(0, len(tiles), columns)]
-    if not rows:
+    if not shown:
         return np.full((1, width, 3), 255, np.uint8)
-    return np.concatenate([_row(row, width) for row in rows])
-
-
-def _tile(keyframe: Keyframe, width: int) -> Picture:
-    import cv2
-
-    small = fit_width(keyframe.rgb_u8.cpu().numpy(), width - 4)
-    tile = np.full((small.shape[0] + _BAR_PX + 4, width, 3), 255, np.uint8)
-    tile[: small.shape[0], : small.shape[1]] = small
-    place = (2, small.shape[0] + _BAR_PX - 3)
-    cv2.putText(tile, f"{keyframe.index}", place, cv2.FONT_HERSHEY_SIMPLEX, 0.38, (60, 70, 84), 1, cv2.LINE_AA)
-    return tile
-
-
-def _row(tiles: list[Picture], width: int) -> Picture:
-    row = np.full((max(t.shape[0] for t in tiles), width, 3), 255, np.uint8)
-    x = 0
-    for tile in tiles:
-        row[: tile.shape[0], x : x + tile.shape[1]] = tile
-        x += tile.shape[1]
-    return row
+    picked = sorted({round(i * (len(shown) - 1) / max(most - 1, 1)) for i in range(most)})
+    tiles = [fit_width(shown[k].rgb_u8.cpu().numpy(), width // columns - 6) for k in picked]
+    blank = np.full_like(tiles[0], 255)
+    tiles += [blank] * (-len(tiles) % columns)
+    names = [str(shown[k].index) for k in picked] + [""] * (len(tiles) - len(picked))
+    starts = range(0, len(tiles), columns)
+    return np.concatenate([side_by_side(tiles[i : i + columns], names[i : i + columns]) for i in starts])

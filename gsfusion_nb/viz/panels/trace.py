@@ -1,26 +1,25 @@
 """A panel of a trace: a slider over everything that happened to a pixel, a voxel or a Gaussian, forwards and back."""
 
-import threading
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from markupsafe import Markup
 
-from ...checks import check_name
+from ...drawing.curves import figure_picture, image_figure
 from ...drawing.page import html_table
-from ...drawing.pictures import Picture, to_uint8
-from ..display import Bundle, ClickImage, LostNotice, with_picture
-from .pixel_stack import CROSS, ellipse_outlines, write
+from ...drawing.pictures import Picture
+from ..display import Stroke
+from .panel import Choice, Drawn, Panel, Slider
+from .pixel_stack import CROSS, ellipse_outlines
 
 FOLLOWS = ("pixel", "Gaussian", "voxel")
 """What a click can follow."""
 WIDTH_PX = 440
 """Width of the picture on screen, pixels."""
-_TILE, _CELL = (64, 156, 255), (255, 80, 80)
 
 
-class TracePanel:
+class TracePanel(Panel):
     """Everything that happened to one pixel, Gaussian or voxel: a slider over the moments, a picture, numbers, code.
 
     The picture is that of the operation: blue frames are tiles, the red one is the quadtree cell, the yellow mark is
@@ -40,12 +39,24 @@ class TracePanel:
 
     def __init__(self, trace: Any, **what: Any):
         self.trace = trace
-        self._lock = threading.RLock()  # callbacks may come from another thread than the cells
-        self._quiet = False
-        self._build()
-        self.look_at(**(what or {"pixel": (0, 0)}))
-        if not what and (shown := self._moment) is not None:
-            self.look_at(pixel=(shown.camera.width // 2, shown.camera.height // 2))
+        self.story, self.name_of_story = self._told(**(what or {"pixel": (0, 0)}))
+        controls = {
+            "moment": Slider(value=0, low=0, high=len(self.story.moments) - 1, step=1, label="moment"),
+            "follows": Choice(value=FOLLOWS[0], options=FOLLOWS, label="click follows"),
+        }
+        buttons = {"Previous": lambda: self.go_to(self.moment - 1), "Next": lambda: self.go_to(self.moment + 1)}
+        text = "The picture of an operation; click a pixel to follow it"
+        super().__init__(
+            self._draw, controls, buttons=buttons, name="trace", kind="png", text=text,
+            touch=lambda stroke, _: self._clicked(stroke),
+        )  # fmt: skip
+        if not what and (camera := self.story.moments[0].camera) is not None:
+            self.look_at(pixel=(camera.width // 2, camera.height // 2))
+
+    @property
+    def moment(self) -> int:
+        """Number of the moment that is shown, from 0."""
+        return self.values["moment"]
 
     def look_at(
         self,
@@ -60,36 +71,17 @@ class TracePanel:
         Raises:
             ValueError: not exactly one of them is given, or nothing is known of it.
         """
-        given = {
-            k: x for k, x in {"pixel": pixel, "gaussian": gaussian, "id": id, "voxel": voxel}.items() if x is not None
-        }
-        if len(given) != 1:
-            raise ValueError(f"give one of pixel, gaussian, id and voxel, got {sorted(given) or 'none'}")
-        if pixel is not None:
-            story, name = self.trace.pixel(*pixel), f"pixel {pixel}"
-        elif voxel is not None:
-            story, name = self.trace.voxel(*voxel), f"voxel {voxel}"
-        else:
-            story = self.trace.gaussian(gaussian, id=id)
-            name = f"Gaussian {story.id}"
-        if not story.moments:
-            raise ValueError(f"nothing is recorded of {name}: map a frame while the trace is open")
-        return self.show_story(story, name, self.slider.value)
-
-    def show_story(self, story: Any, name: str, k: int) -> Any:
-        """Show moment ``k`` of a story that the trace told before, and its name; the last one for larger numbers."""
-        with self._lock:
-            self.story, self.name = story, name
+        with self.lock:
+            self.story, self.name_of_story = self._told(pixel=pixel, gaussian=gaussian, id=id, voxel=voxel)
             self._quiet = True
-            self.slider.max = len(story.moments) - 1
-            self.slider.value = min(k, self.slider.max)
+            self.controls["moment"].max = len(self.story.moments) - 1
             self._quiet = False
-            self._redraw()
-        return story
+            self.go_to(self.moment)
+        return self.story
 
     def go_to(self, k: int) -> "TracePanel":
         """Show moment ``k`` of the story, from 0; the last one for larger numbers."""
-        self.slider.value = min(max(k, 0), self.slider.max)
+        self.set(moment=min(max(k, 0), len(self.story.moments) - 1))
         return self
 
     def follow_picks(self, viewer: Any) -> "TracePanel":
@@ -97,173 +89,77 @@ class TracePanel:
         viewer.observe(lambda change: self._picked(change["new"]), "picked")
         return self
 
-    def picture(self) -> Picture:
-        """The picture of the present moment, with its marks."""
-        return moment_picture(self._moment)
+    def _clicked(self, stroke: Stroke) -> dict[str, Any]:
+        """Follow what a click there follows, from the moment of the present operation on."""
+        now = self.story.moments[self.moment]
+        if now.camera is None:
+            return {}
+        zoom, camera = WIDTH_PX / now.camera.width, now.camera
+        u, v = min(int(stroke.now[0] / zoom), camera.width - 1), min(int(stroke.now[1] / zoom), camera.height - 1)
+        follows, of_pixel = self.values["follows"], self.trace.pixel(u, v)
 
-    @property
-    def follows(self) -> str:
-        """What a click follows: "pixel", "Gaussian" or "voxel"."""
-        return str(self.choice.value)
+        def nearest(moments: Sequence[Any]) -> int:
+            if not moments:
+                raise ValueError(f"no {follows} is known at pixel ({u}, {v})")
+            return min(range(len(moments)), key=lambda k: abs(moments[k].serial - now.serial))
 
-    @follows.setter
-    def follows(self, follows: str) -> None:
-        check_name("follows", follows, FOLLOWS)
-        self.choice.value = follows
+        what: dict[str, Any] = {"pixel": (u, v)}
+        if follows == "voxel":
+            fused = [m for m in of_pixel.moments if getattr(m, "voxels", ())]
+            here = fused[nearest(fused)]
+            what = {"voxel": min(here.voxels, key=lambda x: abs(x.z_m - here.depth_m)).ijk}
+        elif follows == "Gaussian":
+            steps = [m for m in of_pixel.steps if len(m.ids)]
+            here = steps[nearest(steps)]
+            what = {"id": int(here.ids[here.weight.argmax()])}
+        story = self.look_at(**what)
+        self.go_to(nearest(story.moments))
+        return {}
 
-    def follow(self, u: int, v: int) -> None:
-        """Follow what a click on a pixel of the present picture follows.
-
-        Raises:
-            ValueError: nothing is recorded there.
-        """
-        serial = self._moment.serial
-        if self.follows == "voxel":
-            fused = [m for m in self.trace.pixel(u, v).moments if getattr(m, "voxels", ())]
-            if not fused:
-                raise ValueError(f"no depth was fused at pixel ({u}, {v})")
-            now = min(fused, key=lambda m: abs(m.serial - serial))
-            self.look_at(voxel=min(now.voxels, key=lambda x: abs(x.z_m - now.depth_m)).ijk)
-        elif self.follows == "Gaussian":
-            steps = [m for m in self.trace.pixel(u, v).steps if len(m.ids)]
-            if not steps:
-                raise ValueError(f"no Gaussian colours pixel ({u}, {v})")
-            now = min(steps, key=lambda m: abs(m.serial - serial))
-            self.look_at(id=int(now.ids[now.weight.argmax()]))
+    def _told(self, **what: Any) -> tuple[Any, str]:
+        """The story of what ``look_at`` was asked, and its name."""
+        given = {k: x for k, x in what.items() if x is not None}
+        if len(given) != 1:
+            raise ValueError(f"give one of pixel, gaussian, id and voxel, got {sorted(given) or 'none'}")
+        ((kind, which),) = given.items()
+        if kind in ("pixel", "voxel"):
+            story, name = getattr(self.trace, kind)(*which), f"{kind} {which}"
         else:
-            self.look_at(pixel=(u, v))
-        self._go_near(serial)
-
-    @property
-    def _moment(self) -> Any:
-        return self.story.moments[self.slider.value]
-
-    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
-        text = f"{self.name}, moment {self.slider.value + 1} of {len(self.story.moments)}\n{self._moment}"
-        return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), text, alt=self.clicks.alt)
-
-    def _build(self) -> None:
-        import ipywidgets as w
-
-        self.clicks = ClickImage(1, 1, width=WIDTH_PX, format="png", alt="the picture of the operation; click a pixel")
-        self.clicks.add_class("gsnb-trace-image")
-        self.clicks.observe(self._clicked, "pixel")
-        self.slider = w.IntSlider(
-            min=0,
-            max=0,
-            description="moment",
-            layout=w.Layout(width=f"{WIDTH_PX}px"),
-            tooltip="what happened, in order",
-        )
-        self.slider.add_class("gsnb-trace-moment")
-        self.slider.observe(self._moved, "value")
-        self.choice = w.Dropdown(
-            options=list(FOLLOWS), description="click follows", style={"description_width": "90px"}
-        )
-        self.choice.layout.width = "220px"
-        self.choice.add_class("gsnb-trace-follows")
-        self.back, self.next = (
-            w.Button(description=name, icon=icon, layout=w.Layout(width="104px"), tooltip=f"{name} moment")
-            for name, icon in (("Previous", "step-backward"), ("Next", "step-forward"))
-        )
-        self.back.add_class("gsnb-trace-previous")
-        self.next.add_class("gsnb-trace-next")
-        self.back.on_click(lambda _: self.go_to(self.slider.value - 1))
-        self.next.on_click(lambda _: self.go_to(self.slider.value + 1))
-        beside = w.Layout(flex="1 1 320px", min_width="300px", max_height="460px", overflow="auto")
-        self.numbers = w.HTML(layout=beside)
-        self.numbers.add_class("gsnb-trace-numbers")
-        buttons = w.HBox([self.back, self.next, self.choice], layout=w.Layout(flex_flow="row wrap"))
-        left = w.VBox([self.clicks, self.slider, buttons, LostNotice()], layout=w.Layout(width=f"{WIDTH_PX + 12}px"))
-        row = w.Layout(flex_flow="row wrap", align_items="flex-start", grid_gap="12px")
-        self.widget = w.HBox([left, self.numbers], layout=row)
-        self.widget.add_class("gsnb-trace")
-
-    def _moved(self, _change: Any) -> None:
-        if not self._quiet:
-            with self._lock:
-                self._redraw()
-
-    def _clicked(self, _change: Any) -> None:
-        if self._quiet:
-            return
-        u, v = self.clicks.pixel
-        with self._lock:
-            try:
-                self.follow(u, v)
-            except (ValueError, IndexError) as error:
-                self.numbers.value = str(Markup("<b>{}</b>").format(str(error)))
-
-    def _go_near(self, serial: int) -> None:
-        """Show the moment of the story that is next to an operation."""
-        moments = self.story.moments
-        self.go_to(min(range(len(moments)), key=lambda k: abs(moments[k].serial - serial)))
+            story = self.trace.gaussian(given.get("gaussian"), id=given.get("id"))
+            name = f"Gaussian {story.id}"
+        if not story.moments:
+            raise ValueError(f"nothing is recorded of {name}: map a frame while the trace is open")
+        return story, name
 
     def _picked(self, row: int | None) -> None:
-        if row is None:
-            return
-        try:
-            self.look_at(gaussian=row)
-        except (ValueError, IndexError) as error:
-            self.numbers.value = str(Markup("<b>{}</b>").format(str(error)))
+        if row is not None:
+            try:
+                self.look_at(gaussian=row)
+            except (ValueError, IndexError) as error:
+                self._show_error(error)
 
-    def _redraw(self) -> None:
-        moment = self._moment
-        if moment.camera is not None:
-            self._quiet = True
-            self.clicks.size = (moment.camera.width, moment.camera.height)
-            if moment.marks.pixel is not None:
-                self.clicks.pixel = moment.marks.pixel
-            self._quiet = False
-        self.clicks.show(self.picture())
-        self.clicks.alt = f"{self.name}: {moment.title}; click a pixel to follow it"
-        self.back.disabled, self.next.disabled = self.slider.value == 0, self.slider.value == self.slider.max
-        place, code = moment.source_line()
-        head = Markup("<b>{}</b>, {} of {}: {}").format(
-            self.name, self.slider.value + 1, len(self.story.moments), moment.title
-        )
-        table = Markup(html_table(moment.lines(), style="font-size:12px", cell_style="text-align:left;padding:1px 6px"))
-        line = Markup('<div style="font-size:12px;overflow-wrap:anywhere">{}: <code>{}</code></div>').format(
-            place, code
-        )
-        self.numbers.value = str(Markup('<div style="line-height:1.4">{}</div>').format(head) + table + line)
+    def _draw(self, moment: int, follows: str) -> Drawn:
+        now, n = self.story.moments[moment], len(self.story.moments)
+        place, code = now.source_line()
+        head = Markup("<b>{}</b>, {} of {}: {}").format(self.name_of_story, moment + 1, n, now.title)
+        table = Markup(html_table(now.lines(), style="font-size:12px", cell_style="text-align:left;padding:1px 6px"))
+        line = Markup('<div style="font-size:12px;overflow-wrap:anywhere">{}: <code>{}</code></div>')
+        return moment_picture(now), str(head + table + line.format(place, code))
 
 
 def moment_picture(moment: Any, width: int = WIDTH_PX) -> Picture:
     """The image of a moment, enlarged to ``width`` pixels, with its marks; grey if the image is no longer held."""
-    import cv2
+    from matplotlib.patches import Polygon, Rectangle
 
-    camera = moment.camera
-    if camera is None:
-        picture = np.full((60, width, 3), 236, np.uint8)
-        write(picture, "the picture of this moment is no longer held", 12, 34, 1)
-        return picture
-    zoom = width / camera.width
-    size = (width, round(camera.height * zoom))
-    if moment.image is None:
-        picture = np.full((size[1], size[0], 3), 200, np.uint8)
-    else:
-        picture = np.array(cv2.resize(to_uint8(moment.image), size, interpolation=cv2.INTER_NEAREST), np.uint8)
-    marks = moment.marks
-    for box in marks.tiles:
-        _box(picture, box, zoom, _TILE)
-    if marks.cell is not None:
-        _box(picture, marks.cell, zoom, _CELL)
+    camera, marks = moment.camera, moment.marks
+    columns, rows = (1, 1) if camera is None else (camera.width, camera.height)
+    image = torch.full((rows, columns, 3), 0.8) if moment.image is None else moment.image
+    figure, axes = image_figure(image, (width, round(rows * width / columns)))
+    boxes = [*((box, "#409cff") for box in marks.tiles), *([(marks.cell, "#ff5050")] if marks.cell else [])]
+    boxes += [] if marks.pixel is None else [((*marks.pixel, 1, 1), CROSS)]
+    for (x, y, w, h), ink in boxes:
+        axes.add_patch(Rectangle((x, y), w, h, fill=False, edgecolor=ink, linewidth=1.5))
     if marks.ellipse is not None:
-        uv, conic = torch.tensor([marks.ellipse[:2]]), torch.tensor([marks.ellipse[2:]])
-        ring = (ellipse_outlines(uv, conic)[0] * zoom * 16).round().clip(-1e6, 1e6).astype(np.int32)
-        for ink, wide in (((0, 0, 0), 4), (CROSS, 2)):
-            cv2.polylines(picture, [ring], True, ink, wide, cv2.LINE_AA, shift=4)
-    if marks.pixel is not None:
-        u, v = marks.pixel
-        _box(picture, (u, v, 1, 1), zoom, CROSS)
-    return picture
-
-
-def _box(picture: Picture, box: tuple[int, int, int, int], zoom: float, ink: tuple[int, int, int]) -> None:
-    import cv2
-
-    x, y, w, h = box
-    low, high = (round(x * zoom), round(y * zoom)), (round((x + w) * zoom) - 1, round((y + h) * zoom) - 1)
-    cv2.rectangle(picture, low, high, (0, 0, 0), 3)
-    cv2.rectangle(picture, low, high, ink, 1)
+        ring = ellipse_outlines(torch.tensor([marks.ellipse[:2]]), torch.tensor([marks.ellipse[2:]]))[0]
+        axes.add_patch(Polygon(ring, fill=False, edgecolor=CROSS, linewidth=1.5))
+    return figure_picture(figure)

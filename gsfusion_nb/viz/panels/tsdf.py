@@ -1,7 +1,7 @@
 """Panels about a TSDF volume: a plane through it as a picture, and a camera that fills it."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,14 +9,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...drawing.pictures import CARD, CARD_INK, LABEL_PX, Picture, side_by_side, to_uint8
+from ...drawing.pictures import LABEL_PX, Picture, side_by_side, to_uint8
 from ...tsdf import TsdfVolume, integrate, raycast
 from ...types import Camera, Frame
 from ..display import Stroke
 from ..map_pictures import palette
 from .panel import Choice, Drawn, Panel, Point, Slider, Switch, draw_handles, nearest_handle
 
-QUANTITIES = ("distance", "weight", "colour")
+LEGENDS = {"distance": "; red behind, blue free", "weight": "; dark 1, bright 20", "colour": ""}
+QUANTITIES = tuple(LEGENDS)
 """What a slice can show."""
 X_M, Y_M, PX_PER_M = (-2.6, 2.6), (-2.1, 2.1), 60
 """Usual extent of a slice, metres, and its scale, pixels per metre."""
@@ -24,8 +25,6 @@ X_M, Y_M, PX_PER_M = (-2.6, 2.6), (-2.1, 2.1), 60
 _BEHIND, _ZERO, _FREE = (178, 34, 52), (255, 255, 255), (44, 98, 168)
 _UNSEEN = (58, 78)
 """Grey levels of the stripes where no voxel was observed."""
-LEGEND_PX = 30
-"""Height of the colour bar below a slice."""
 _CAMERA = (255, 140, 0)
 
 
@@ -68,7 +67,7 @@ def slice_picture(
     if quantity == "distance":
         image = distance_colours(D)
     elif quantity == "weight":
-        image = _weight_colours(W, max_weight)
+        image = palette("viridis")[(np.clip(W / max_weight, 0, 1) * 255 + 0.5).astype(int)]
     else:
         image = to_uint8(sample.rgb.view(height, width, 3))
     stripes = (np.add.outer(np.arange(height), np.arange(width)) // 4) % 2
@@ -83,28 +82,19 @@ def distance_colours(D: Float[np.ndarray, "H W"] | Float[Tensor, "H W"]) -> Pict
     return (colour + 0.5).astype(np.uint8)
 
 
-def draw_camera(
-    picture: Picture,
-    camera: Camera,
-    T_WC: Float[Tensor, "4 4"],
-    *,
-    x_m: tuple[float, float] = X_M,
-    y_m: tuple[float, float] = Y_M,
-    px_per_m: float | int = PX_PER_M,
-    reach_m: float | int = 1.2,
-) -> Picture:
-    """A copy of a slice with the camera on it: a dot, and the left and the right edge of what it sees."""
+def draw_camera(picture: Picture, camera: Camera, T_WC: Float[Tensor, "4 4"], *, reach_m: float | int = 1.2) -> Picture:
+    """A copy of a slice of the usual extent with a dot at the camera, and the left and right edge of what it sees."""
     import cv2
 
     T = T_WC.detach().cpu().double().numpy()
     edges = [np.array([(u - camera.cx) / camera.fx, 0.0, 1.0]) * reach_m for u in (0.0, float(camera.width))]
-    corners = [T[:3, 3], *(T[:3, :3] @ e + T[:3, 3] for e in edges)]
-    at = [(round((c[0] - x_m[0]) * px_per_m * 16), round((y_m[1] - c[1]) * px_per_m * 16)) for c in corners]
+    points = [slice_pixel(*p[:2]) for p in (T[:3, 3], *(T[:3, :3] @ e + T[:3, 3] for e in edges))]
+    place, left, right = ((round(16 * u), round(16 * v)) for u, v in points)
     image = picture.copy()
     for ink, thickness in (((30, 30, 30), 4), (_CAMERA, 2)):
-        cv2.line(image, at[0], at[1], ink, thickness, cv2.LINE_AA, 4)
-        cv2.line(image, at[0], at[2], ink, thickness, cv2.LINE_AA, 4)
-        cv2.circle(image, at[0], (3 + thickness) * 16, ink, -1, cv2.LINE_AA, 4)
+        cv2.line(image, place, left, ink, thickness, cv2.LINE_AA, 4)
+        cv2.line(image, place, right, ink, thickness, cv2.LINE_AA, 4)
+        cv2.circle(image, place, (3 + thickness) * 16, ink, -1, cv2.LINE_AA, 4)
     return image
 
 
@@ -116,35 +106,6 @@ def slice_pixel(x_m: float | int, y_m: float | int) -> tuple[float, float]:
 def slice_place(u: float | int, v: float | int) -> tuple[float, float]:
     """The world's (x, y), metres, at a pixel of such a slice."""
     return X_M[0] + u / PX_PER_M, Y_M[1] - v / PX_PER_M
-
-
-def slice_legend(quantity: str, width: int, *, max_weight: float | int = 20) -> Picture:
-    """The colour bar of a slice, ``width`` pixels wide."""
-    image = np.full((LEGEND_PX, width, 3), CARD, np.uint8)
-    left, right = 74, width - 74
-    ramp = np.linspace(-1, 1, max(right - left, 2), dtype=np.float32)[None].repeat(10, 0)
-    words = ("behind -1", "free +1")
-    bar = distance_colours(ramp)
-    if quantity == "weight":
-        bar, words = _weight_colours((ramp + 1) / 2 * max_weight, max_weight), ("W = 0", f"{max_weight:g} or more")
-    elif quantity == "colour":
-        words = ("mean colour", "")
-    if quantity != "colour":
-        image[8:18, left : left + bar.shape[1]] = bar
-        image[7:19, (left + right) // 2] = 120 if quantity == "distance" else image[7:19, (left + right) // 2]
-    _write(image, words, (4, right + 6))
-    return image
-
-
-def _write(image: Picture, words: Sequence[str], x: tuple[int, int]) -> None:
-    import cv2
-
-    for text, at in zip(words, x, strict=True):
-        cv2.putText(image, text, (at, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.36, CARD_INK, 1, cv2.LINE_AA)
-
-
-def _weight_colours(W: np.ndarray, max_weight: float | int) -> Picture:
-    return palette("viridis")[(np.clip(W / max_weight, 0, 1) * 255 + 0.5).astype(int)]
 
 
 DepthSensor = Callable[[Float[Tensor, "4 4"]], Frame]
@@ -180,21 +141,6 @@ def shape_picture(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]
     return to_uint8(lamp[..., None].expand(-1, -1, 3))
 
 
-def _joined(
-    flat: Picture, view: Picture, camera: Camera, T_WC: Tensor, height_m: float | int, quantity: str
-) -> Picture:
-    x, y = T_WC[:2, 3].tolist()
-    seen = draw_handles(draw_camera(flat, camera, T_WC), camera_handles(x, y, heading_of(T_WC)))
-    left = np.concatenate([seen, slice_legend(quantity, flat.shape[1])])
-    title = f"{quantity}, slice at z = {height_m:.2f} m"
-    return side_by_side([left, view], [title, "the map, seen from the camera"])
-
-
-def heading_of(T_WC: Float[Tensor, "4 4"]) -> float:
-    """Where a camera looks, counter-clockwise from the world's x axis, degrees."""
-    return math.degrees(math.atan2(float(T_WC[1, 2]), float(T_WC[0, 2])))
-
-
 def camera_handles(x_m: float, y_m: float, heading_deg: float) -> dict[str, Point]:
     """In a slice, pixels: the handle that moves the camera, and the one in front of it that turns it."""
     h = math.radians(heading_deg)
@@ -206,8 +152,8 @@ def touch_camera(stroke: Stroke, values: dict[str, Any], camera: Camera) -> dict
     """What a drag over the panel's picture changes: a handle in the slice, or the direction of view in the view."""
     du, dv = stroke.moved
     width, height = slice_pixel(X_M[1], Y_M[0])
-    if stroke.start[0] >= width:  # the scene in the view, which is as high as slice and legend, follows the pointer
-        turn = math.degrees(camera.height / (height + LEGEND_PX) / camera.fx)
+    if stroke.start[0] >= width:  # the scene in the view, which is as high as the slice, follows the pointer
+        turn = math.degrees(camera.height / height / camera.fx)
         heading = wrapped_deg(values["heading_deg"] + du * turn)
         return {"heading_deg": heading, "tilt_deg": values["tilt_deg"] + dv * turn}
     handles = camera_handles(values["x_m"], values["y_m"], values["heading_deg"])
@@ -255,35 +201,32 @@ def tsdf_fill_panel(
         fused[0] = 0
 
     def draw(*, height_m: float, quantity: str, at_every_move: bool, **where: float) -> Drawn:
+        T_WC = pose(where)
         if at_every_move:
-            measured(pose(where))
-        flat, view = (
-            slice_picture(volume, height_m=height_m, quantity=quantity),
-            shape_picture(volume, camera, pose(where)),
-        )
-        picture = _joined(flat, view, camera, pose(where), height_m, quantity)
+            measured(T_WC)
+        flat = draw_camera(slice_picture(volume, height_m=height_m, quantity=quantity), camera, T_WC)
+        seen = draw_handles(flat, camera_handles(where["x_m"], where["y_m"], where["heading_deg"]))
+        titles = [f"{quantity}, slice at z = {height_m:.2f} m{LEGENDS[quantity]}", "the map, seen from the camera"]
         text = (
             f'<b class="gsnb-fill-frames">{fused[0]}</b> measurements, <b>{volume.n_blocks:,}</b> blocks of 8&sup3; '
             f"voxels, {int((volume.W > 0).sum()):,} voxels observed"
         )
-        return picture, text
+        return side_by_side([seen, shape_picture(volume, camera, T_WC)], titles), text
 
     def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, float]:
         return touch_camera(stroke, values, camera)
 
-    buttons = {"measure": measure, "forget": forget}
-    text = "A slice of a TSDF volume with the camera in it, and what the camera sees of the map"
-    panel = Panel(draw, _controls(*start), buttons=buttons, name="fill", kind="png", text=text, touch=touch)
-    return panel
-
-
-def _controls(x_m: float, y_m: float, turn_deg: float) -> dict[str, Slider | Choice | Switch]:
-    return {
-        "x_m": Slider(value=float(x_m), low=-2.2, high=2.2, step=0.05, label="x, m"),
-        "y_m": Slider(value=float(y_m), low=-1.7, high=1.7, step=0.05, label="y, m"),
-        "heading_deg": Slider(value=float(turn_deg), low=-180, high=180, step=1.0, label="heading, °", readout=".0f"),
+    x_m, y_m, turn_deg = map(float, start)
+    controls = {
+        "x_m": Slider(value=x_m, low=-2.2, high=2.2, step=0.05, label="x, m"),
+        "y_m": Slider(value=y_m, low=-1.7, high=1.7, step=0.05, label="y, m"),
+        "heading_deg": Slider(value=turn_deg, low=-180, high=180, step=1.0, label="heading, °", readout=".0f"),
         "tilt_deg": Slider(value=0.0, low=-60, high=60, step=1.0, label="tilt, °", readout=".0f"),
         "height_m": Slider(value=1.0, low=0.0, high=2.6, step=0.02, label="slice at z, m"),
         "quantity": Choice(value="distance", options=QUANTITIES, label="show"),
         "at_every_move": Switch(value=False, label="measure at every move"),
     }
+    buttons = {"measure": measure, "forget": forget}
+    text = "A slice of a TSDF volume with the camera in it, and what the camera sees of the map"
+    panel = Panel(draw, controls, buttons=buttons, name="fill", kind="png", text=text, touch=touch)
+    return panel

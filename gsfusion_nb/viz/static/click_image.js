@@ -1,5 +1,5 @@
-// A picture. With touch "pixel" it reports the pixel that was clicked, dragged over, or reached with the arrow keys; with
-// "stroke" a drag: where it began and where the pointer is. Of several positions that Python has not read, the newest counts.
+// A picture. With touch "stroke" it reports a drag, also by the arrow keys: where it began and where the pointer is. Of
+// several positions that Python has not read, the newest counts.
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const KEY_PX = 4; // an arrow key drags by this many pixels of the picture
 const REST_MS = 800; // arrow keys within this time are one stroke
@@ -57,14 +57,12 @@ class Picture {
     this.image.focus({ preventScroll: true });
     this.image.setPointerCapture(event.pointerId);
     this.held = event.pointerId;
-    if (this.touch === "pixel") this.choose(...this.place(event));
-    else this.begin(this.place(event), event.shiftKey);
+    this.begin(this.place(event), event.shiftKey);
   }
 
   move(event) {
     if (!this.touch || this.held !== event.pointerId || !(event.buttons & 1)) return;
-    if (this.touch === "pixel") this.choose(...this.place(event));
-    else this.drag(this.place(event));
+    this.drag(this.place(event));
   }
 
   key(event) {
@@ -72,23 +70,11 @@ class Picture {
     if (!this.touch || !step) return;
     event.preventDefault();
     event.stopPropagation();
-    if (this.touch === "pixel") {
-      const [u, v] = this.model.get("pixel");
-      this.choose(u + step[0], v + step[1]);
-      return;
-    }
     const [columns, rows] = this.model.get("size");
     const from = this.at ?? [columns / 2, rows / 2];
     if (!this.keys || performance.now() - this.keys > REST_MS) this.begin(from, event.shiftKey);
     this.drag([this.at[0] + KEY_PX * step[0], this.at[1] + KEY_PX * step[1]]);
     this.keys = performance.now();
-  }
-
-  choose(u, v) {
-    const size = this.model.get("size");
-    const pixel = [u, v].map((x, k) => Math.min(Math.max(Math.floor(x), 0), size[k] - 1));
-    if (this.model.get("pixel").every((x, k) => x === pixel[k])) return;
-    this.save({ pixel });
   }
 
   begin(place, shift) {

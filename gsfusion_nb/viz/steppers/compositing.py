@@ -1,22 +1,20 @@
 """A stepper through the blending of one pixel, front to back: alpha, the light that is left, weight, colour so far."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...constants import TILE_PX
-from ...drawing.curves import BETWEEN, PALETTE
+from ...drawing.curves import BETWEEN, PALETTE, style
 from ...render import TileLists, composite, composite_vjp
 from ...render.composite import pixel_offsets, splat_alpha
+from ...render.constants import TILE_PX
 from ...types import Camera, GaussianParams
 from ..panels.pixel_stack import check_pixel, project_splats
 from .recording import Recording, record
-from .stepper import Step, Stepper, moving, step_of, style, text_of
+from .stepper import Step, Stepper, text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -111,25 +109,24 @@ def compositing_stepper(
         who = f"Gaussian {k + 1} of {len(w)}, row {int(run.row[k])}"
         offset = f"({float(alphas['dx'][k]):.2f}, {float(alphas['dy'][k]):.2f}) px"
         numbers = [("(dx, dy)", offset), ("opacity", text_of(alphas["opacity"][k])), ("sigma", text_of(sigma[k]))]
-        steps.append(step_of(alphas, f"{who}: alpha at this pixel.", [*numbers, ("alpha", text_of(alpha[k]))], scene))
+        steps.append(Step(alphas, f"{who}: alpha at this pixel.", [*numbers, ("alpha", text_of(alpha[k]))], scene))
         numbers = [("T, light in front of it", text_of(T[k])), ("1 − alpha", text_of(1 - alpha[k]))]
         scene = scene | {"T": T[: k + 1]}
         passes = f"{100 * float(behind[k]):.3g} % of the light is left behind Gaussian {k + 1}."
-        steps.append(step_of(behinds, passes, [*numbers, ("T behind it", text_of(behind[k]))], scene))
+        steps.append(Step(behinds, passes, [*numbers, ("T behind it", text_of(behind[k]))], scene))
         colour = colour + w[k] * run.rgb[k]
         scene = scene | {"w": w[: k + 1], "colour": colour}
         title = f"Its weight is alpha T = {float(w[k]):.4f}."
         if not w[k]:
             title = "T behind it would be below 1e-4: the pixel is finished, and the weight is 0 from here on."
         numbers = [("w", text_of(w[k])), ("c", text_of(run.rgb[k], 3)), ("colour so far", text_of(colour, 3))]
-        steps.append(step_of(weights, title, numbers, scene))
+        steps.append(Step(weights, title, numbers, scene))
     C = end["C[y, x]"][0]
     numbers = [("C, colour", text_of(C[:3])), ("depth", f"{float(C[3]):.4f} m"), ("sum of the weights", text_of(C[4]))]
-    steps.append(step_of(end, f"The pixel is the sum of w c over its {len(w)} Gaussians.", numbers, steps[-1].scene))
-    bars = Bars(alpha[:K], run.rgb[:K], ("w, alpha, T", "alpha, weight, and T (red)"))
+    steps.append(Step(end, f"The pixel is the sum of w c over its {len(w)} Gaussians.", numbers, steps[-1].scene))
     return Stepper(
-        steps, lambda figure: _forward_picture(figure, bars), name="compositing",
-        label=f"Compositing of pixel {pixel}", stills=(2, min(8, len(steps) - 1), len(steps) - 1),
+        steps, lambda figure, scene: _forward_picture(figure, scene, run.rgb[:K]), name="compositing",
+        label=f"Compositing of pixel {pixel}",
     )  # fmt: skip
 
 
@@ -139,41 +136,28 @@ def shown(w: Tensor) -> int:
     return min(len(w), used + _BEHIND_THE_STOP)
 
 
-class Bars:
-    """Bars over the Gaussians of a pixel, nearest first."""
-
-    def __init__(self, height: Tensor, rgb: Tensor, words: tuple[str, str]):
-        self.height, self.rgb, self.words = height.numpy(), rgb.clamp(0, 1).numpy(), words
-        self.k = np.arange(1, len(self.height) + 1)
-
-    def on(self, axes: Any, **how: Any) -> Any:
-        axes.set_xlim(0.3, len(self.k) + 0.7)
-        axes.locator_params(axis="x", integer=True)
-        return axes.bar(self.k, self.height, color=self.rgb, edgecolor=BETWEEN, linewidth=0.6, **how)
+def _bars(axes: Any, height: Tensor, rgb: Tensor, **how: Any) -> None:
+    """Bars over the Gaussians of a pixel, nearest first; the first ones of ``rgb``."""
+    n = len(height)
+    axes.bar(
+        range(1, n + 1), height.numpy(), color=rgb[:n].clamp(0, 1).numpy(), edgecolor=BETWEEN, linewidth=0.6, **how
+    )
+    axes.set_xlim(0.3, len(rgb) + 0.7)
+    axes.locator_params(axis="x", integer=True)
 
 
-def _forward_picture(figure: "Figure", bars: Bars) -> Callable[[Step], None]:
+def _forward_picture(figure: "Figure", scene: dict[str, Any], rgb: Tensor) -> None:
     axes, corner = figure.add_axes((0.11, 0.13, 0.70, 0.79)), figure.add_axes((0.84, 0.13, 0.13, 0.17))
-    style(axes, x="Gaussian, nearest first", y=bars.words[0], title=bars.words[1])
+    style(axes, x="Gaussian, nearest first", y="w, alpha, T", title="alpha, weight, and T (red)")
     style(corner, title="colour")
-    corner.set_xticks([])
-    corner.set_yticks([])
+    corner.imshow(scene["colour"].clamp(0, 1).numpy().reshape(1, 1, 3), aspect="auto")
+    corner.set(xticks=[], yticks=[])
     axes.set_ylim(0, 1.05)
-    pale, full = bars.on(axes, width=0.8, alpha=0.35, animated=True), bars.on(axes, width=0.5, animated=True)
-    (light,) = axes.plot([], [], ".-", drawstyle="steps-mid", color=PALETTE[3], linewidth=1.8, animated=True)
-    (now,) = axes.plot([], [], "v", color=PALETTE[3], markersize=7, clip_on=False, animated=True)
-    swatch = corner.imshow(np.zeros((1, 1, 3)), aspect="auto", animated=True)
-
-    def update(step: Step) -> None:
-        scene = step.scene
-        for k, (a, b) in enumerate(zip(pale, full, strict=True)):
-            a.set_height(float(scene["alpha"][k]) if k < len(scene["alpha"]) else 0)
-            b.set_height(float(scene["w"][k]) if k < len(scene["w"]) else 0)
-        light.set_data(bars.k[: len(scene["T"])], scene["T"].numpy())
-        now.set_data([scene["k"] + 1], [1.03])
-        swatch.set_data(scene["colour"].clamp(0, 1).numpy().reshape(1, 1, 3))
-
-    return update
+    _bars(axes, scene["alpha"], rgb, width=0.8, alpha=0.35)
+    _bars(axes, scene["w"], rgb, width=0.5)
+    T = scene["T"].numpy()
+    axes.plot(range(1, len(T) + 1), T, ".-", drawstyle="steps-mid", color=PALETTE[3], linewidth=1.8)
+    axes.plot(scene["k"] + 1, 1.03, "v", color=PALETTE[3], markersize=7, clip_on=False)
 
 
 def compositing_gradient_stepper(
@@ -209,28 +193,28 @@ def compositing_gradient_stepper(
         who = f"Gaussian {k + 1} of {len(w)}"
         numbers = [("c . v_C", text_of(c_dot_v[k])), ("w", text_of(w[k])), ("T", text_of(T[k]))]
         title = f"{who}: how much its colour and the loss agree."
-        steps.append(step_of(dot, title, numbers, scene))
+        steps.append(Step(dot, title, numbers, scene))
         numbers = [("S, sum over those behind", text_of(S[k]))]
         behind = "there are none" if k == len(w) - 1 else "what this one hides"
-        steps.append(step_of(sums, f"S sums w (c . v_C) over the Gaussians behind it: {behind}.", numbers, scene))
+        steps.append(Step(sums, f"S sums w (c . v_C) over the Gaussians behind it: {behind}.", numbers, scene))
         scene = scene | {"v_alpha": torch.where(torch.arange(K) == k, v_alpha[:K], seen)}
         numbers = [
             ("T (c . v_C)", text_of(T[k] * c_dot_v[k])),
             ("S / (1 − alpha)", text_of(S[k] / (1 - slope["alpha"][k, 0]))),
             ("dL/dalpha", text_of(v_alpha[k])),
         ]  # fmt: skip
-        steps.append(step_of(slope, _direction(float(v_alpha[k])), numbers, scene))
+        steps.append(Step(slope, _direction(float(v_alpha[k])), numbers, scene))
         numbers = [
             ("dL/dc = w v_C", text_of(colours["w @ v_C"][k, :3])), ("dL/dopacity", text_of(opacities["v_opacity"][k])),
             ("dL/d(u, v)", text_of(centres["v_uv"][k])),
         ]  # fmt: skip
         title = "From dL/dalpha follow the gradients of its opacity and position; from w that of its colour."
-        steps.append(step_of(opacities, title, numbers, scene))
-    bars = Bars(w[:K], run.rgb[:K], ("weight", f"weights; dL/dC = {text_of(v_rgb, 3)}"))
-    most = float(v_alpha[:K].abs().max())
+        steps.append(Step(opacities, title, numbers, scene))
+    most = float(v_alpha[:K].abs().max()) or 1.0
+    words = f"weights; dL/dC = {text_of(v_rgb, 3)}"
     return Stepper(
-        steps, lambda figure: _backward_picture(figure, bars, most), name="compositing-gradient",
-        label=f"Gradient of pixel {pixel}", stills=(2, min(10, len(steps) - 1), len(steps) - 1),
+        steps, lambda figure, scene: _backward_picture(figure, scene, w[:K], run.rgb[:K], most, words),
+        name="compositing-gradient", label=f"Gradient of pixel {pixel}",
     )  # fmt: skip
 
 
@@ -240,21 +224,15 @@ def _direction(v_alpha: float) -> str:
     return f"dL/dalpha is {'positive: less' if v_alpha > 0 else 'negative: more'} of this Gaussian lowers the loss."
 
 
-def _backward_picture(figure: "Figure", bars: Bars, most: float) -> Callable[[Step], None]:
+def _backward_picture(figure: "Figure", scene: dict[str, Any], w: Tensor, rgb: Tensor, most: float, words: str) -> None:
     above, below = figure.add_axes((0.15, 0.60, 0.82, 0.32)), figure.add_axes((0.15, 0.13, 0.82, 0.38))
-    style(above, y=bars.words[0], title=bars.words[1])
+    style(above, y="weight", title=words)
     style(below, x="Gaussian, nearest first", y="dL/dalpha")
-    bars.on(above, width=0.7)
-    above.set_ylim(0, 1.15 * float(bars.height.max()) or 1)
+    _bars(above, w, rgb, width=0.7)
+    _bars(below, scene["v_alpha"].nan_to_num(), rgb, width=0.7)
+    above.set_ylim(0, 1.15 * float(w.max()) or 1)
+    below.set_ylim(-1.15 * most, 1.15 * most)
     below.axhline(0, color=BETWEEN, linewidth=0.8)
-    below.set_ylim(-1.15 * most or -1, 1.15 * most or 1)
-    slopes = bars.on(below, width=0.7, animated=True)
-    marks = [moving(axes, "v", color=PALETTE[3], markersize=7, clip_on=False) for axes in (above, below)]
-
-    def update(step: Step) -> None:
-        for bar, value in zip(slopes, step.scene["v_alpha"].nan_to_num().tolist(), strict=True):
-            bar.set_height(value)
-        for mark, axes in zip(marks, (above, below), strict=True):
-            mark.set_data([step.scene["k"] + 1], [0.92 * axes.get_ylim()[1]])
-
-    return update
+    for axes in (above, below):
+        mark = 0.92 * axes.get_ylim()[1]
+        axes.plot(scene["k"] + 1, mark, "v", color=PALETTE[3], markersize=7, clip_on=False)

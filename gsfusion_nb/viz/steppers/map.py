@@ -1,14 +1,14 @@
 """Steppers through the growing map: the quadtree that places Gaussians, and Adam on rows that join later."""
 
 import dataclasses
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 import torch
 
 from ...config import OptimConfig
-from ...drawing.curves import BETWEEN, PALETTE
+from ...drawing.curves import BETWEEN, PALETTE, style
 from ...drawing.pictures import AnyImage, Picture, to_uint8
 from ...gaussians import GaussianModel
 from ...optim import adam_step
@@ -16,7 +16,7 @@ from ...optim.adam import adam_update
 from ...seeding import quadtree
 from ...types import GaussianParams, Seeds
 from .recording import RETURNED, Line, Recording, record
-from .stepper import Step, Stepper, style, text_of
+from .stepper import Step, Stepper, text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,11 +30,6 @@ QUADTREE_WATCH = {
         "quadtree": (),
     }
 }
-
-
-def record_quadtree(rgb: AnyImage, **settings: Any) -> Recording:
-    """``quadtree`` of an image: a recording."""
-    return record(lambda: quadtree(torch.from_numpy(to_uint8(rgb)), **settings), QUADTREE_WATCH)
 
 
 def quadtree_stepper(
@@ -54,12 +49,11 @@ def quadtree_stepper(
     """
     photo = to_uint8(rgb)
     settings = {"threshold": float(threshold), "min_cell_px": min_cell_px, "contrast": contrast}
-    steps = _quadtree_steps(record_quadtree(photo, **settings))
+    steps = _quadtree_steps(record(lambda: quadtree(torch.from_numpy(photo), **settings), QUADTREE_WATCH))
     height = round(450 * photo.shape[0] / photo.shape[1])
     label = f"Quadtree of a picture of {photo.shape[1]} x {photo.shape[0]} pixels"
-    stills = (1, min(len(steps) - 1, 2 + len(steps) // 3), len(steps) - 1)
-    build = lambda figure: _quadtree_picture(figure, photo)  # noqa: E731
-    return Stepper(steps, build, name="quadtree", label=label, size=(450, height), stills=stills)
+    draw = lambda figure, scene: _quadtree_picture(figure, scene, photo)  # noqa: E731
+    return Stepper(steps, draw, name="quadtree", label=label, size=(450, height))
 
 
 def _quadtree_steps(recording: Recording) -> list[Step]:
@@ -72,7 +66,7 @@ def _quadtree_steps(recording: Recording) -> list[Step]:
         cell, waiting = tuple(look[name] for name in ("x0", "y0", "w", "h")), waiting - 1
         is_cut, end = look[RETURNED], ends[look.call]
         scene = {"cell": cell, "leaves": tuple(leaves), "cut": False}
-        steps.append(Step(line=look, title=_seen(look, end["level"]), numbers=_numbers(look), scene=scene))
+        steps.append(Step(look, _seen(look, end["level"]), _numbers(look), scene))
         if is_cut:
             waiting += 4
             title = "Split: its four parts are looked at one after the other, top left first."
@@ -81,13 +75,13 @@ def _quadtree_steps(recording: Recording) -> list[Step]:
             title = "Not split: this cell is a leaf."
         counts = [("leaves so far", str(len(leaves))), ("cells that wait", str(waiting)), ("level", str(end["level"]))]
         scene = {"cell": cell, "leaves": tuple(leaves), "cut": is_cut}
-        steps.append(Step(line=end, title=title, numbers=counts, scene=scene))
+        steps.append(Step(end, title, counts, scene))
     cells = recording.result
     last = recording.at("return Cells(")[0]
     counts = [(f"level {k}", str(int(n))) for k, n in enumerate(torch.bincount(cells.level.long())) if n]
     scene = {"cell": None, "leaves": tuple(leaves), "cut": False}
     done = f"Every cell has been looked at: {len(cells)} leaves."
-    steps.append(Step(line=last, title=done, numbers=[("leaves", str(len(cells))), *counts], scene=scene))
+    steps.append(Step(last, done, [("leaves", str(len(cells))), *counts], scene))
     return steps
 
 
@@ -111,36 +105,26 @@ def _numbers(look: Line) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def _quadtree_picture(figure: "Figure", photo: Picture) -> Callable[[Step], None]:
+def _quadtree_picture(figure: "Figure", scene: dict[str, Any], photo: Picture) -> None:
     from matplotlib.collections import LineCollection
 
     H, W = photo.shape[:2]
     axes = figure.add_axes((0.005, 0.005, 0.99, 0.99))
     axes.imshow(photo, extent=(0, W, H, 0), interpolation="nearest")
     axes.set_axis_off()
-    borders = LineCollection([], colors=PALETTE[0], linewidths=1.0, animated=True)
-    axes.add_collection(borders)
-    (now,) = axes.plot([], [], "-", color=PALETTE[3], linewidth=2.6, animated=True)
-    (cross,) = axes.plot([], [], "-", color=PALETTE[3], linewidth=1.4, animated=True)
-
-    def update(step: Step) -> None:
-        borders.set_segments([_outline(cell) for cell in step.scene["leaves"]])
-        cell = step.scene["cell"]
-        now.set_data(*(zip(*_outline(cell), strict=True) if cell else ([], [])))
-        x0, y0, w, h = cell or (0, 0, 0, 0)
-        x, y, gap = x0 + w // 2, y0 + h // 2, float("nan")
-        cross.set_data(*(([x, x, gap, x0, x0 + w], [y0, y0 + h, gap, y, y]) if step.scene["cut"] else ([], [])))
-
-    return update
+    axes.add_collection(LineCollection([_outline(cell) for cell in scene["leaves"]], colors=PALETTE[0], linewidths=1.0))
+    if scene["cell"]:
+        axes.plot(*zip(*_outline(scene["cell"]), strict=True), color=PALETTE[3], linewidth=2.6)
+    if scene["cut"]:
+        x0, y0, w, h = scene["cell"]
+        x, y = x0 + w // 2, y0 + h // 2
+        axes.plot([x, x], [y0, y0 + h], [x0, x0 + w], [y, y], color=PALETTE[3], linewidth=1.4)
 
 
 def _outline(cell: tuple[int, ...]) -> list[tuple[int, int]]:
     x0, y0, w, h = cell
     return [(x0, y0), (x0 + w, y0), (x0 + w, y0 + h), (x0, y0 + h), (x0, y0)]
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Count = Literal["per_row", "shared", "none"]
 COUNTS: tuple[Count, ...] = ("per_row", "shared", "none")
@@ -210,12 +194,9 @@ def adam_stepper(
     }
     steps = _adam_steps(record_adam(gradient, config, **how), len(gradient), adam_steps)
     others = {name: lengths[name][before:] for name in COUNTS if name != adam_steps}
-    build = lambda figure: _adam_picture(figure, steps, others, before)  # noqa: E731
-    first = next(i for i, step in enumerate(steps) if step.title.startswith("A new row"))
-    return Stepper(
-        steps, build, name="adam", label=f"Adam on a growing map, count {adam_steps}", size=(450, 360),
-        stills=(4, min(first + 4, len(steps) - 1), len(steps) - 1),
-    )  # fmt: skip
+    last = steps[-1].scene["history"]
+    draw = lambda figure, scene: _adam_picture(figure, scene["history"], last, others, before)  # noqa: E731
+    return Stepper(steps, draw, name="adam", label=f"Adam on a growing map, count {adam_steps}", size=(450, 360))
 
 
 def _of_opacity(recording: Recording, part: str) -> list[Line]:
@@ -240,11 +221,11 @@ def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step
             what = "A new row" if line["start"] else "The map starts with these rows"
             title = f"{what}: the values come from the seeds, and the moments m and v are 0."
             added = [("rows", f"{line['start']} to {line['stop'] - 1}")]
-            steps.append(Step(line=line, title=title, numbers=added, scene=scene))
+            steps.append(Step(line, title, added, scene))
         elif line.text.startswith(counting):
             t = "none: no correction" if line["steps"] is None else text_of(line["steps"])
             numbers = [("step of the map", str(line["t"])), ("t of each row", t)]
-            steps.append(Step(line=line, title="What the bias correction counts.", numbers=numbers, scene=scene))
+            steps.append(Step(line, "What the bias correction counts.", numbers, scene))
         elif line.function == "adam_update" and line["param"].ndim == 1:
             if line.text.startswith("m = beta1"):
                 start, now = line["param"], now + 1
@@ -254,52 +235,52 @@ def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step
                     history[k].append((now, abs(by), by))
                 scene = {"history": [tuple(h) for h in history], "step": now}
             if (shown := _shown(line, start)) is not None:
-                title, heads, columns = shown
-                table = [(str(k), *cells) for k, cells in enumerate(zip(*columns, strict=True))]
-                steps.append(Step(line=line, title=title, heads=("row", *heads), numbers=table, scene=scene))
+                title, columns = shown
+                table = [(str(k), *cells) for k, cells in enumerate(zip(*columns.values(), strict=True))]
+                steps.append(Step(line, title, table, scene, ("row", *columns)))
     return steps
 
 
-def _shown(line: Line, start: torch.Tensor) -> tuple[str, tuple[str, ...], list[list[str]]] | None:
-    def column(name: str) -> list[str]:
-        return [text_of(x) for x in line[name]]
+ADAM_LINES = {
+    "m = beta1": (
+        "m moves one tenth of the way to the gradient g.",
+        {"g": "gradient", "m before": "exp_avg", "m": "m"},
+    ),
+    "v = beta2": ("v moves one thousandth of the way to g².", {"g": "gradient", "v before": "exp_avg_sq", "v": "v"}),
+    "m_hat, v_hat": (
+        "Bias correction: m and v started at 0, so they are divided by 1 − b^t.",
+        {"t": "steps", "m hat": "m_hat", "v hat": "v_hat"},
+    ),
+}
+"""Beginning of a line -> what it does, and the columns of its table: heading -> watched expression."""
 
-    if line.text.startswith("m = beta1"):
-        return "m moves one tenth of the way to the gradient g.", ("g", "m before", "m"), [
-            column("gradient"), column("exp_avg"), column("m"),
-        ]  # fmt: skip
-    if line.text.startswith("v = beta2"):
-        return "v moves one thousandth of the way to g².", ("g", "v before", "v"), [
-            column("gradient"), column("exp_avg_sq"), column("v"),
-        ]  # fmt: skip
-    if line.text.startswith("m_hat, v_hat"):
-        counted = line["steps"]
-        t = (
-            counted.double()
-            if isinstance(counted, torch.Tensor)
-            else [math.inf if counted is None else counted] * len(start)
-        )
-        title = "Bias correction: m and v started at 0, so they are divided by 1 − b^t."
-        return title, ("t", "m hat", "v hat"), [[text_of(x) for x in t], column("m_hat"), column("v_hat")]
+
+def _shown(line: Line, start: torch.Tensor) -> tuple[str, dict[str, list[str]]] | None:
+    """Title and columns of the table of a line, if it is shown."""
+
+    def column(value: Any) -> list[str]:
+        return [text_of(x) for x in (value if isinstance(value, torch.Tensor) else [value] * len(start))]
+
     if line.text.startswith("param.copy_"):
         moved = [f"{text_of(x, 3)} lr" for x in (line["param"] - start) / line["lr"]]
-        return "The step of each row, in learning rates.", ("before", "after", "step"), [
-            [text_of(x) for x in start], column("param"), moved,
-        ]  # fmt: skip
+        columns = {"before": column(start), "after": column(line["param"]), "step": moved}
+        return "The step of each row, in learning rates.", columns
+    for beginning, (title, names) in ADAM_LINES.items():
+        if line.text.startswith(beginning):
+            return title, {head: column(line[name]) for head, name in names.items()}
     return None
 
 
 def _adam_picture(
-    figure: "Figure", steps: Sequence[Step], others: dict[str, list[float]], before: int
-) -> Callable[[Step], None]:
+    figure: "Figure", history: list[Any], last: list[Any], others: dict[str, list[float]], before: int
+) -> None:
     above, below = figure.add_axes((0.12, 0.57, 0.86, 0.36)), figure.add_axes((0.12, 0.12, 0.86, 0.36))
     style(above, y="lr", title="length of each step, in learning rates (orange: the new row)")
     style(below, x="step", y="lr", title="how far each row has moved")
-    last = steps[-1].scene["history"]
-    count = len(last[0])
-    lengths = [x for row in last for _, x, _ in row] + [x for other in others.values() for x in other]
-    moved = [sum(by for _, _, by in row[: k + 1]) for row in last for k in range(len(row))]
-    above.set_ylim(0, 1.15 * max(lengths))
+    count, moved = len(last[0]), [sum(by for _, _, by in row[: k + 1]) for row in last for k in range(len(row))]
+    above.set_ylim(
+        0, 1.15 * max([x for row in last for _, x, _ in row] + [x for other in others.values() for x in other])
+    )
     below.set_ylim(min(0.0, *moved) * 1.15 - 0.1, max(0.0, *moved) * 1.15 + 0.1)
     for axes in (above, below):
         axes.set_xlim(0.5, count + 0.5)
@@ -307,17 +288,10 @@ def _adam_picture(
         axes.tick_params(labelbottom=axes is below)
         axes.axvline(before + 0.5, color=BETWEEN, linewidth=0.8, linestyle=":")
     for name, other in others.items():
-        where = range(before + 1, before + 1 + len(other))
-        above.plot(where, other, "--", color=PALETTE[1], alpha=0.55, linewidth=1)
+        above.plot(range(before + 1, before + 1 + len(other)), other, "--", color=PALETTE[1], alpha=0.55, linewidth=1)
         above.annotate(name, (count, other[-1]), color=BETWEEN, fontsize=7, ha="right", va="bottom")
-    colours = [PALETTE[0], PALETTE[2], PALETTE[4], PALETTE[6]]
-    inks = [colours[k % 4] for k in range(len(last) - 1)] + [PALETTE[1]]
-    lines = [[a.plot([], [], ".-", color=ink, animated=True, markersize=6)[0] for ink in inks] for a in (above, below)]
-
-    def update(step: Step) -> None:
-        for k, row in enumerate(step.scene["history"]):
-            at = [s for s, _, _ in row]
-            lines[0][k].set_data(at, [x for _, x, _ in row])
-            lines[1][k].set_data(at, [sum(by for _, _, by in row[: i + 1]) for i in range(len(row))])
-
-    return update
+    inks = [PALETTE[2 * (k % 4)] for k in range(len(last) - 1)] + [PALETTE[1]]
+    for row, ink in zip(history, inks, strict=True):
+        at = [step for step, _, _ in row]
+        above.plot(at, [x for _, x, _ in row], ".-", color=ink, markersize=6)
+        below.plot(at, np.cumsum([by for _, _, by in row]), ".-", color=ink, markersize=6)

@@ -53,17 +53,12 @@ class Line:
         return self.values[expression]
 
 
-class Recording(Sequence[Line]):
+class Recording(list[Line]):
     """The lines that ran, in the order in which they ended, and ``result``, what the recorded call returned."""
 
     def __init__(self, lines: Iterable[Line], result: Any):
-        self._lines, self.result = tuple(lines), result
-
-    def __len__(self) -> int:
-        return len(self._lines)
-
-    def __getitem__(self, index: Any) -> Any:
-        return self._lines[index]
+        super().__init__(lines)
+        self.result = result
 
     def at(self, part: str) -> list[Line]:
         """The lines whose text contains ``part``.
@@ -71,7 +66,7 @@ class Recording(Sequence[Line]):
         Raises:
             ValueError: no line that ran contains it.
         """
-        found = [line for line in self._lines if part in line.text]
+        found = [line for line in self if part in line.text]
         if not found:
             raise ValueError(f"no line that ran contains {part!r}")
         return found
@@ -136,16 +131,9 @@ class _Recorder:
             except NameError:  # not yet defined
                 continue
         first, last = statement(code.co_filename, self._pending[frame])
-        self.lines.append(
-            Line(
-                function=code.co_name,
-                call=self._number[frame],
-                path=Path(code.co_filename),
-                first=first,
-                last=last,
-                values=values,
-            )
-        )
+        path, call = Path(code.co_filename), self._number[frame]
+        line = Line(function=code.co_name, call=call, path=path, first=first, last=last, values=values)
+        self.lines.append(line)
 
 
 @functools.cache

@@ -1,7 +1,6 @@
 """Steppers through tracking: one iteration of ICP, and one Gauss-Newton step on a pose graph."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import TrackingConfig
-from ...drawing.curves import BETWEEN, PALETTE
+from ...drawing.curves import BETWEEN, PALETTE, style
 from ...tracking import Surface, align, depth_pyramid, icp_system
 from ...tracking.icp import solve_step
 from ...tracking.pose_graph import Edge, optimise_poses_plain
@@ -18,7 +17,7 @@ from ...types import Camera
 from ..panels.icp import RESIDUAL_M
 from ..panels.tsdf import distance_colours
 from .recording import Line, Recording, record
-from .stepper import Step, Stepper, moving, step_of, style, text_of
+from .stepper import Step, Stepper, text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,20 +32,6 @@ ICP_WATCH = {
     align: {"align": ("T_WC", "system", "step")},
     solve_step: {"solve_step": ("H", "b", "eigenvalues", "known", "y")},
 }  # fmt: skip
-
-
-def record_icp(
-    depth_m: Float[Tensor, "H W"],
-    camera: Camera,
-    surface: Surface,
-    T_WC_start: Float[Tensor, "4 4"],
-    config: TrackingConfig,
-    factor: int,
-) -> Recording:
-    """``align`` with one iteration on one level, which is ``factor`` times smaller than the frame: a recording."""
-    once = dataclasses.replace(config, pyramid=(factor,), iterations=(1,))
-    levels = depth_pyramid(depth_m, camera, once.pyramid)
-    return record(lambda: align(levels, surface, T_WC_start, once), ICP_WATCH)
 
 
 def icp_stepper(
@@ -75,17 +60,17 @@ def icp_stepper(
     Raises:
         ValueError: no pixel of the frame passes the gates.
     """
-    recording = record_icp(depth_m, camera, surface, T_WC_start, config or TrackingConfig(), factor)
+    once = dataclasses.replace(config or TrackingConfig(), pyramid=(factor,), iterations=(1,))
+    levels = depth_pyramid(depth_m, camera, once.pyramid)
+    recording = record(lambda: align(levels, surface, T_WC_start, once), ICP_WATCH)
     found = recording.at("inlier = overlap & near & aligned")[0]
     if not bool(found["inlier"].any()):
         raise ValueError("no pixel of the frame passes the gates at this pose")
     steps = [step for at in _some_pixels(found, pixels) for step in _of_pixel(recording, at)]
     steps += _sums(recording)
     shape = tuple(found["inlier"].shape)
-    build = lambda figure: _icp_picture(figure, (shape[0], shape[1]))  # noqa: E731
     label = f"One iteration of ICP, {shape[1]} x {shape[0]} pixels"
-    stills = (3, len(steps) - 4, len(steps) - 1)
-    return Stepper(steps, build, name="icp", label=label, size=(450, 350), stills=stills)
+    return Stepper(steps, _icp_picture, name="icp", label=label, size=(450, 350))
 
 
 def _some_pixels(found: Line, count: int) -> list[tuple[int, int]]:
@@ -114,12 +99,12 @@ def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
     whole = scene | {"q": q.numpy(), "n": n.numpy()}
     name = f"Pixel ({at[1]}, {at[0]})"
     steps = [
-        step_of(moved, f"{name}: its point p, moved with the assumed pose.", [("p", text_of(p) + " m")], scene),
-        step_of(falls, "p is projected into the camera of the surface: the pixel on which it falls.", [
+        Step(moved, f"{name}: its point p, moved with the assumed pose.", [("p", text_of(p) + " m")], scene),
+        Step(falls, "p is projected into the camera of the surface: the pixel on which it falls.", [
             ("u, v", f"{float(falls['u'][at]):.2f}, {float(falls['v'][at]):.2f}"),
             ("row, column", f"{int(falls['row'][at])}, {int(falls['column'][at])}"),
         ], scene),
-        step_of(partner, "The surface's point q and normal n at that pixel: its partner, a guess.", [
+        Step(partner, "The surface's point q and normal n at that pixel: its partner, a guess.", [
             ("q", text_of(q) + " m"), ("n", text_of(n, 3)), ("|p − q|", f"{1000 * float((p - q).norm()):.1f} mm"),
         ], whole),
     ]  # fmt: skip
@@ -129,14 +114,14 @@ def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
         ("distance", f"{'within' if near else 'above'} {100 * gate['max_distance_m']:.0f} cm"),
         ("normals agree", text_of(aligned)), ("used", text_of(inlier)),
     ]  # fmt: skip
-    steps.append(step_of(gate, f"The gates, distance and angle of the normals: {verdict}.", gates, whole))
+    steps.append(Step(gate, f"The gates, distance and angle of the normals: {verdict}.", gates, whole))
     if inlier:
         index = int(gate["inlier"].flatten()[: at[0] * gate["inlier"].shape[1] + at[1]].sum())
         r, J = r_line["r"][index], J_line["J"][index]
         title = "Only the distance to the plane of q counts."
-        steps.append(step_of(r_line, title, [("r = (p − q) . n", f"{1000 * float(r):.2f} mm")], whole))
+        steps.append(Step(r_line, title, [("r = (p − q) . n", f"{1000 * float(r):.2f} mm")], whole))
         rows = [("n", text_of(J[:3], 3)), ("p x n", text_of(J[3:], 3))]
-        steps.append(step_of(J_line, "How r changes with a small motion: this pixel's row of J.", rows, whole))
+        steps.append(Step(J_line, "How r changes with a small motion: this pixel's row of J.", rows, whole))
     return steps
 
 
@@ -148,15 +133,15 @@ def _sums(recording: Recording) -> list[Step]:
     names = ("x", "y", "z", "about x", "about y", "about z")
     rows = [(name, text_of(x)) for name, x in zip(names, b, strict=True)]
     title = f"H = sum w J^T J and b = sum w J^T r over the {system['return'].n_inliers} pairs: six equations."
-    steps = [step_of(system, title, rows, scene, ("", "b"))]
+    steps = [Step(system, title, rows, scene, ("", "b"))]
     known = [text_of(bool(k)) for k in solve["known"]]
     rows = [(str(k), text_of(e), s) for k, (e, s) in enumerate(zip(solve["eigenvalues"], known, strict=True), 1)]
     title = "Solved along the principal directions, and only along those that the scene determines."
-    steps.append(step_of(solve, title, rows, scene, ("direction", "information", "determined")))
+    steps.append(Step(solve, title, rows, scene, ("direction", "information", "determined")))
     xi = [(name, f"{1000 * float(x):.2f} mm" if k < 3 else f"{float(x.rad2deg()):.3f}°")
           for k, (name, x) in enumerate(zip(names, step.xi, strict=True))]  # fmt: skip
     moved = scene | {"residual": _residuals(recording, 1)}
-    steps.append(step_of(poses, "The pose is moved by exp(xi); all residuals change.", xi, moved, ("motion", "xi")))
+    steps.append(Step(poses, "The pose is moved by exp(xi); all residuals change.", xi, moved, ("motion", "xi")))
     last = recording.at("return IcpResult(")[0]
     before, after = recording.at("system, joined = rows.at(level,")[0]["system"], last["system"]
     rows = [
@@ -165,49 +150,34 @@ def _sums(recording: Recording) -> list[Step]:
         ("the surface moved by", f"{1000 * step.length_m:.2f} mm"),
     ]
     title = "One iteration is done. The next one looks for partners again, from the new pose."
-    steps.append(step_of(last, title, rows, moved))
+    steps.append(Step(last, title, rows, moved))
     return steps
 
 
-def _icp_picture(figure: "Figure", shape: tuple[int, int]) -> Callable[[Step], None]:
+def _icp_picture(figure: "Figure", scene: dict[str, Any]) -> None:
     left = figure.add_axes((0.01, 0.30, 0.57, 0.60))
     sketch, matrix = figure.add_axes((0.63, 0.52, 0.35, 0.40)), figure.add_axes((0.66, 0.03, 0.32, 0.36))
     style(left, title=f"residual, ±{1000 * RESIDUAL_M:.0f} mm (red −, blue +)")
     style(sketch, title="p, q and the plane of q")
     style(matrix, title="H (blue +, red −)")
-    for axes in (left, sketch, matrix):
-        axes.set_xticks([])
-        axes.set_yticks([])
-    image = left.imshow(np.zeros((*shape, 4)), interpolation="nearest", animated=True, aspect="auto")
-    frame = moving(left, "s", color=PALETTE[1], markersize=9, fillstyle="none", mew=2)
-    sketch.set_xlim(-1, 1)
-    sketch.set_ylim(-1, 1)
-    plane = moving(sketch, "-", color=PALETTE[0], linewidth=2)
-    normal = moving(sketch, "-", color=PALETTE[2], linewidth=1.6)
-    gap = moving(sketch, "--", color=PALETTE[3], linewidth=1.6)
-    dots = moving(sketch, "o", color=PALETTE[1], markersize=7)
-    names = [sketch.text(0, 0, name, color=BETWEEN, fontsize=9, animated=True) for name in "pqn"]
-    cells = matrix.imshow(np.zeros((6, 6, 4)), interpolation="nearest", animated=True)
-
-    def update(step: Step) -> None:
-        scene = step.scene
-        image.set_data(_coloured(scene["residual"] / RESIDUAL_M))
-        frame.set_data(*(([scene["pixel"][1]], [scene["pixel"][0]]) if scene["pixel"] else ([], [])))
-        drawn = _flat(scene["p"], scene["q"], scene["n"]) if scene["q"] is not None else None
-        p, q, n = drawn or (np.zeros(2), np.zeros(2), np.zeros(2))
+    left.imshow(_coloured(scene["residual"] / RESIDUAL_M), interpolation="nearest", aspect="auto")
+    if scene["pixel"]:
+        left.plot(*scene["pixel"][::-1], "s", color=PALETTE[1], markersize=9, fillstyle="none", mew=2)
+    sketch.set(xlim=(-1, 1), ylim=(-1, 1))
+    if scene["q"] is not None:
+        p, q, n = _flat(scene["p"], scene["q"], scene["n"])
         foot = p - n * float((p - q) @ n)
-        plane.set_data(*(([-0.95, 0.95], [q[1], q[1]]) if drawn else ([], [])))
-        normal.set_data(*(([q[0], q[0]], [q[1], q[1] + 0.6]) if drawn else ([], [])))
-        gap.set_data(*(([p[0], foot[0]], [p[1], foot[1]]) if drawn else ([], [])))
-        dots.set_data(*(([p[0], q[0]], [p[1], q[1]]) if drawn else ([], [])))
-        for text, at in zip(names, (p, q, q + 0.6 * n), strict=True):
-            text.set_position((at[0] + 0.08, at[1] + 0.03))
-            text.set_visible(drawn is not None)
-        H = scene["H"]
-        scaled = None if H is None else H / np.sqrt(np.outer(H.diagonal(), H.diagonal()))
-        cells.set_data(np.zeros((6, 6, 4)) if scaled is None else _coloured(scaled))
-
-    return update
+        sketch.plot([-0.95, 0.95], [q[1], q[1]], color=PALETTE[0], linewidth=2)
+        sketch.plot([q[0], q[0]], [q[1], q[1] + 0.6], color=PALETTE[2], linewidth=1.6)
+        sketch.plot([p[0], foot[0]], [p[1], foot[1]], "--", color=PALETTE[3], linewidth=1.6)
+        sketch.plot([p[0], q[0]], [p[1], q[1]], "o", color=PALETTE[1], markersize=7)
+        for name, at in zip("pqn", (p, q, q + 0.6 * n), strict=True):
+            sketch.text(at[0] + 0.08, at[1] + 0.03, name, color=BETWEEN, fontsize=9)
+    H = scene["H"]
+    if H is not None:
+        matrix.imshow(_coloured(H / np.sqrt(np.outer(H.diagonal(), H.diagonal()))), interpolation="nearest")
+    for axes in (left, sketch, matrix):
+        axes.set(xticks=[], yticks=[])
 
 
 def _coloured(values: np.ndarray) -> np.ndarray:
@@ -226,9 +196,6 @@ def _flat(p: np.ndarray, q: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.n
     return np.array([across / size - 0.4, low + along / size]), np.array([-0.4, low]), np.array([0.0, 1.0])
 
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 GRAPH_WATCH = {
     optimise_poses_plain: {
         "relative_pose_error": ("e", "J"),
@@ -238,11 +205,6 @@ GRAPH_WATCH = {
     }
 }
 _DEGREES = 180 / torch.pi
-
-
-def record_pose_graph(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Recording:
-    """``optimise_poses_plain`` with one step from each of its starts: a recording."""
-    return record(lambda: optimise_poses_plain(T_WC, edges, iterations=1), GRAPH_WATCH)
 
 
 def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepper:
@@ -260,14 +222,13 @@ def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepp
     """
     if len(T_WC) < 2 or not edges:
         raise ValueError(f"two poses and an edge are needed, got {len(T_WC)} poses and {len(edges)} edges")
-    recording = record_pose_graph(T_WC, edges)
+    recording = record(lambda: optimise_poses_plain(T_WC, edges, iterations=1), GRAPH_WATCH)
     steps = [*_errors(recording, edges), *_system(recording, edges), *_update(recording)]
     proposed = _first(recording, "proposed = pose_graph_step")["proposed"]
     every = torch.cat([T_WC.double(), proposed])[:, :2, 3]
-    build = lambda figure: _graph_picture(figure, edges, every)  # noqa: E731
-    stills = (len(edges) - 1, len(steps) - 4, len(steps) - 1)
+    draw = lambda figure, scene: _graph_picture(figure, scene, T_WC, edges, every)  # noqa: E731
     label = f"One step on a pose graph of {len(T_WC)} poses"
-    return Stepper(steps, build, name="pose-graph", label=label, size=(450, 300), stills=stills)
+    return Stepper(steps, draw, name="pose-graph", label=label, size=(450, 300))
 
 
 def _first(recording: Recording, part: str) -> Line:
@@ -296,17 +257,17 @@ def _errors(recording: Recording, edges: list[Edge]) -> list[Step]:
             ("rotation of e", text_of(_DEGREES * e[3:], 3) + "°"),
             ("length", f"{length:.2f} standard deviations"),
         ]  # fmt: skip
-        steps.append(Step(line=error, title=title, numbers=numbers, scene=_start(recording) | {"edge": k}))
+        steps.append(Step(error, title, numbers, _start(recording) | {"edge": k}))
     norms = [(str(k + 1), text_of(float((J - torch.eye(6)).norm()))) for k, J in enumerate(slope["J"])]
     title = "The derivative of each e with respect to pose j. For small errors it is nearly the identity I."
-    steps.append(Step(line=slope, title=title, heads=("edge", "|J − I|"), numbers=norms, scene=_start(recording)))
+    steps.append(Step(slope, title, norms, _start(recording), ("edge", "|J − I|")))
     shares = [
         (str(k + 1), edge.kind, f"{float((w * edge_i).sum() / (edge_i * edge_i).sum()):.3f}")
         for k, (edge, w, edge_i) in enumerate(zip(edges, weights["return"], _informations(edges), strict=True))
     ]
     title = "Robust weights: an edge that is many standard deviations off counts less."
     heads = ("edge", "kind", "weight")
-    steps.append(Step(line=weights, title=title, heads=heads, numbers=shares, scene=_start(recording)))
+    steps.append(Step(weights, title, shares, _start(recording), heads))
     return steps
 
 
@@ -325,12 +286,12 @@ def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
             side = sides[k // 2]
             rows = [(str(p), text_of(b, 3)) for p, b in enumerate(side["b"])]
             title = f"b gets J^T Omega e of pose {'ij'[k // 2]} of every edge: the slope of the error at each pose."
-            steps.append(Step(line=side, title=title, heads=("pose", "b"), numbers=rows, scene=dict(scene)))
+            steps.append(Step(side, title, rows, dict(scene), ("pose", "b")))
         norm = line["H"].flatten(2).norm(dim=2)
         scene = scene | {"H": norm}
         title = f"H gets a block J^T Omega J at ({ends}) for each of the {len(edges)} edges."
         filled = [("blocks that are not zero", f"{int((norm > 0).sum())} of {norm.numel()}")]
-        steps.append(Step(line=line, title=title, numbers=filled, scene=scene))
+        steps.append(Step(line, title, filled, scene))
     return steps
 
 
@@ -342,58 +303,36 @@ def _update(recording: Recording) -> list[Step]:
     scene = _start(recording) | {"H": H}
     rows = [(str(k), text_of(100 * xi[:3], 3), text_of(_DEGREES * xi[3:], 3)) for k, xi in enumerate(solve["xi"], 1)]
     title = "Solve H xi = −b for all poses but the first, which is fixed: where each pose should move."
-    steps = [Step(line=solve, title=title, heads=("pose", "cm", "degrees"), numbers=rows, scene=scene)]
+    steps = [Step(solve, title, rows, scene, ("pose", "cm", "degrees"))]
     T = move["return"]
     rows = [(str(k), text_of(t, 4)) for k, t in enumerate(T[:, :3, 3])]
     title = "Each pose moves in its own camera frame: T exp(xi)."
     moved = scene | {"T_WC": T}
-    steps.append(Step(line=move, title=title, heads=("pose", "position, m"), numbers=rows, scene=moved))
+    steps.append(Step(move, title, rows, moved, ("pose", "position, m")))
     numbers = [("error before", text_of(before["error"])), ("error after", text_of(after["after"]))]
     fell = after["after"] <= before["error"]
     title = "The robust error has fallen: the step is taken." if fell else "The error has grown: the step is halved."
-    steps.append(Step(line=after, title=title, numbers=numbers, scene=moved))
+    steps.append(Step(after, title, numbers, moved))
     return steps
 
 
-def _graph_picture(figure: "Figure", edges: Sequence[Edge], every: Tensor) -> Callable[[Step], None]:
-    from matplotlib.collections import LineCollection
-
+def _graph_picture(figure: "Figure", scene: dict[str, Any], start: Tensor, edges: list[Edge], every: Tensor) -> None:
     left, right = figure.add_axes((0.13, 0.15, 0.47, 0.75)), figure.add_axes((0.66, 0.30, 0.32, 0.48))
     style(left, x="x, m", y="y, m", title="cameras from above")
     style(right, title="blocks of H")
     low, high = every.amin(0), every.amax(0)
-    middle, half = (low + high) / 2, 0.7 * float((high - low).max().clamp_min(0.1))
-    left.set_xlim(float(middle[0]) - half, float(middle[0]) + half)
-    left.set_ylim(float(middle[1]) - half, float(middle[1]) + half)
-    K = max(max(e.i, e.j) for e in edges) + 1
-    inks = [PALETTE[1] if e.kind == "loop" else PALETTE[0] for e in edges]
-    links = LineCollection([], colors=inks, linewidths=1.6, animated=True)
-    left.add_collection(links)
-    start = moving(left, "o", color=BETWEEN, markersize=4, alpha=0.6)
-    dots = moving(left, "o", color=PALETTE[2], markersize=7)
-    focus = moving(left, "-", color=PALETTE[3], linewidth=3.5)
-    names = [left.text(0, 0, str(k), color=BETWEEN, fontsize=8, animated=True) for k in range(K)]
-    looks = LineCollection([], colors=PALETTE[2], linewidths=1.2, animated=True)
-    left.add_collection(looks)
-    image = right.imshow(np.zeros((K, K)), cmap="Blues", vmin=0, vmax=1, animated=True)
-    right.set_xticks(range(K))
-    right.set_yticks(range(K))
-    first: list[Any] = []
-
-    def update(step: Step) -> None:
-        T = step.scene["T_WC"]
-        at = T[:, :2, 3].numpy()
-        first[:] = first or [at]
-        start.set_data(first[0][:, 0], first[0][:, 1])
-        dots.set_data(at[:, 0], at[:, 1])
-        links.set_segments([at[[e.i, e.j]] for e in edges])
-        ends = at + 0.25 * half * T[:, :2, 2].numpy()
-        looks.set_segments([np.stack([a, b]) for a, b in zip(at, ends, strict=True)])
-        for k, name in enumerate(names):
-            name.set_position((at[k, 0] + 0.04 * half, at[k, 1] + 0.04 * half))
-        edge = step.scene["edge"]
-        focus.set_data(*(at[[edges[edge].i, edges[edge].j]].T if edge is not None else ([], [])))
-        H = step.scene["H"]
-        image.set_data(np.zeros((K, K)) if H is None else (H / H.max().clamp_min(1e-12)).sqrt().numpy())
-
-    return update
+    (x, y), half = ((low + high) / 2).tolist(), 0.7 * float((high - low).max().clamp_min(0.1))
+    left.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+    K, at = len(start), scene["T_WC"][:, :2, 3].numpy()
+    left.plot(*start[:, :2, 3].numpy().T, "o", color=BETWEEN, markersize=4, alpha=0.6)
+    for k, edge in enumerate(edges):
+        ink, wide = (PALETTE[3], 3.5) if k == scene["edge"] else (PALETTE[1 if edge.kind == "loop" else 0], 1.6)
+        left.plot(*at[[edge.i, edge.j]].T, color=ink, linewidth=wide)
+    ends = at + 0.25 * half * scene["T_WC"][:, :2, 2].numpy()
+    left.plot(*np.stack([at, ends]).transpose(2, 0, 1), color=PALETTE[2], linewidth=1.2)
+    left.plot(*at.T, "o", color=PALETTE[2], markersize=7)
+    for k in range(K):
+        left.text(at[k, 0] + 0.04 * half, at[k, 1] + 0.04 * half, str(k), color=BETWEEN, fontsize=8)
+    H = torch.zeros(K, K) if scene["H"] is None else scene["H"]
+    right.imshow((H / H.max().clamp_min(1e-12)).sqrt().numpy(), cmap="Blues", vmin=0, vmax=1)
+    right.set(xticks=range(K), yticks=range(K))

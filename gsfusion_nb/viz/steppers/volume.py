@@ -1,7 +1,6 @@
 """Steppers through a TSDF volume: marching cubes on one cell or a row of cells, and the march along one ray."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,15 +8,16 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ...drawing.curves import BETWEEN, PALETTE
+from ...drawing.curves import BETWEEN, PALETTE, style
 from ...geometry import rays, se3
 from ...tsdf import TsdfVolume, extract_mesh, raycast
 from ...tsdf.marching_cubes import EDGES
 from ...tsdf.volume import CORNERS
 from ...types import Camera
+from ..panels.pixel_stack import check_pixel
 from ..panels.tsdf import distance_colours
 from .recording import Recording, record
-from .stepper import Step, Stepper, moving, step_of, style, text_of
+from .stepper import Step, Stepper, text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,15 +75,6 @@ def cut_out(volume: TsdfVolume, start: Voxel, cells: int) -> TsdfVolume:
     return small
 
 
-def record_cells(volume: TsdfVolume, start: Voxel, cells: int) -> tuple[Recording, list[int]]:
-    """``extract_mesh`` of some cells only: a recording, and the row of each of them among all cells."""
-    small = cut_out(volume, start, cells)
-    recording = record(lambda: extract_mesh(small), CELL_WATCH)
-    corner = recording.at("D, weight = volume.D")[0]["corner"]
-    first = small.find_voxels(torch.tensor([[start[0] + k, *start[1:]] for k in range(cells)]).to(small.device))
-    return recording, [int((corner[:, 0] == at).nonzero()[0]) for at in first]
-
-
 def marching_cubes_stepper(volume: TsdfVolume, start: Voxel | None = None, *, cells: int = 1) -> Stepper:
     """Press Next through ``extract_mesh`` on one cell, or on a row of cells along x.
 
@@ -98,7 +89,11 @@ def marching_cubes_stepper(volume: TsdfVolume, start: Voxel | None = None, *, ce
         ValueError: the cells are not in the volume, or none has triangles.
     """
     start = start or row_of_cells(volume, cells)
-    recording, rows = record_cells(volume, start, cells)
+    small = cut_out(volume, start, cells)
+    recording = record(lambda: extract_mesh(small), CELL_WATCH)
+    corner = recording.at("D, weight = volume.D")[0]["corner"]
+    first = small.find_voxels(torch.tensor([[start[0] + k, *start[1:]] for k in range(cells)]).to(small.device))
+    rows = [int((corner[:, 0] == at).nonzero()[0]) for at in first]
     steps: list[Step] = []
     scene: dict[str, Any] = {"D": {}, "cut": (), "points": np.zeros((0, 3)), "faces": (), "cell": 0}
     for k, row in enumerate(rows):
@@ -106,9 +101,8 @@ def marching_cubes_stepper(volume: TsdfVolume, start: Voxel | None = None, *, ce
     steps += _of_vertices(recording, start, volume.config.voxel_size_m, steps[-1].scene)
     name = "one cell" if cells == 1 else f"a row of {cells} cells"
     label = f"Marching cubes on {name}"
-    build = lambda figure: _cell_picture(figure, cells)  # noqa: E731
-    stills = (0, min(4, len(steps) - 1), len(steps) - 1)
-    return Stepper(steps, build, name=f"marching-cubes-{cells}", label=label, size=(450, 330), stills=stills)
+    draw = lambda figure, scene: _cell_picture(figure, scene, cells)  # noqa: E731
+    return Stepper(steps, draw, name=f"marching-cubes-{cells}", label=label, size=(450, 330))
 
 
 def _of_cell(recording: Recording, row: int, k: int, scene: dict[str, Any], cells: int) -> list[Step]:
@@ -122,22 +116,20 @@ def _of_cell(recording: Recording, row: int, k: int, scene: dict[str, Any], cell
     which = f"Cell {k + 1} of {cells}: t" if cells > 1 else "T"
     corners = [(f"{c} at {text_of(tuple(CORNERS[c].tolist()))}", f"{float(D[c]):+.3f}".replace("-", "−"),
                 "inside" if D[c] < 0 else "") for c in range(8)]  # fmt: skip
-    steps = [step_of(values, f"{which}he D of the eight corners; negative is behind the surface.", corners, scene,
+    steps = [Step(values, f"{which}he D of the eight corners; negative is behind the surface.", corners, scene,
                    ("corner", "D", ""))]  # fmt: skip
     if cells == 1:
         seen = [("smallest W", text_of(usable["weight"][row].min())), ("usable", text_of(bool(usable["usable"][row])))]
-        steps.append(
-            step_of(usable, "All eight corners must have been observed, or there is no triangle.", seen, scene)
-        )
+        steps.append(Step(usable, "All eight corners must have been observed, or there is no triangle.", seen, scene))
     bits = " + ".join(str(2**c) for c in range(8) if D[c] < 0) or "0"
     title = f"The case: one bit for each corner inside. {bits} = {case}."
-    steps.append(step_of(cased, title, [("case", f"{case} = {case:08b} in binary")], scene))
+    steps.append(Step(cased, title, [("case", f"{case} = {case:08b} in binary")], scene))
     title = f"The table has {len(mine)} triangle{'s' if len(mine) != 1 else ''} for case {case}."
-    steps.append(step_of(listed, title, [("triangles", str(len(mine)))], scene))
+    steps.append(Step(listed, title, [("triangles", str(len(mine)))], scene))
     cut = scene["cut"] + tuple((k, axis, lower) for triangle in edges for axis, lower in triangle)
     text = [(str(i + 1), ", ".join(str(EDGES.index(e)) for e in triangle)) for i, triangle in enumerate(edges)]
     title = "Each triangle is three cut edges; an edge is an axis and its lower corner. One end is inside, one outside."
-    steps.append(step_of(edged, title, text, scene | {"cut": cut}, ("triangle", "edges")))
+    steps.append(Step(edged, title, text, scene | {"cut": cut}, ("triangle", "edges")))
     return steps
 
 
@@ -148,7 +140,7 @@ def _of_vertices(recording: Recording, start: Voxel, voxel_m: float, scene: dict
     ends = 3 * len(faces)
     numbers = [("triangles", str(len(faces))), ("their corners", str(ends)), ("different edges", str(n))]
     title = f"An edge that several triangles cut has one vertex: {ends} corners of triangles, {n} vertices."
-    steps = [step_of(joined, title, numbers, scene)]
+    steps = [Step(joined, title, numbers, scene)]
     points = (placed["xyz_W"].cpu().numpy() / voxel_m - 0.5) - np.array(start)
     for v in range(n):
         D0, D1, t = (float(crossing[name].flatten()[v]) for name in ("D0", "D1", "t"))
@@ -158,12 +150,12 @@ def _of_vertices(recording: Recording, start: Voxel, voxel_m: float, scene: dict
             ("vertex", text_of(placed["xyz_W"][v]) + " m"),
         ]  # fmt: skip
         title = f"Vertex {v + 1} of {n}: where D, linear along the edge, is zero: t = {t:.3f} of the way."
-        steps.append(step_of(crossing, title, numbers, scene))
+        steps.append(Step(crossing, title, numbers, scene))
     done = recording.at("return Mesh(")[0]
     scene = scene | {"faces": tuple(tuple(face) for face in faces.tolist())}
     numbers = [("vertices", str(n)), ("triangles", str(len(faces)))]
     title = "The triangles between the vertices: the surface in these cells."
-    steps.append(step_of(done, title, numbers, scene))
+    steps.append(Step(done, title, numbers, scene))
     return steps
 
 
@@ -173,80 +165,40 @@ def _flat(xyz: np.ndarray | Int[Tensor, "N 3"]) -> np.ndarray:
     return np.stack([x + 0.42 * y, z + 0.34 * y], axis=1)
 
 
-def _cell_picture(figure: "Figure", cells: int) -> Callable[[Step], None]:
+def _cell_picture(figure: "Figure", scene: dict[str, Any], cells: int) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
-    axes = figure.add_axes((0.01, 0.01, 0.98, 0.98))
+    axes, now = figure.add_axes((0.01, 0.01, 0.98, 0.98)), scene["cell"]
     axes.set_axis_off()
-    axes.set_aspect("equal")
-    axes.set_xlim(-0.25, cells + 0.7)
-    axes.set_ylim(-0.2, 1.5)
-    base = CORNERS.numpy()
-    corners = [base + np.array((k, 0, 0)) for k in range(cells)]
-    lines = [_flat(np.stack([c[lower], c[lower + 2**axis]])) for c in corners for axis, lower in EDGES]
-    axes.add_collection(LineCollection(lines, colors=BETWEEN, linewidths=0.8, alpha=0.7))
-    focus = LineCollection([], colors=BETWEEN, linewidths=1.8, animated=True)
-    cut = LineCollection([], colors=PALETTE[1], linewidths=2.4, animated=True)
-    faces = PolyCollection([], facecolors=PALETTE[2], edgecolors=PALETTE[2], alpha=0.55, linewidths=1, animated=True)
-    for collection in (focus, faces, cut):
-        axes.add_collection(collection)
-    outside = moving(axes, "o", color=PALETTE[0], markersize=8)
-    inside = moving(axes, "o", color=PALETTE[3], markersize=8)
-    vertices = moving(axes, "D", color=PALETTE[1], markersize=5)
-    values = [axes.text(0, 0, "", color=BETWEEN, fontsize=8, animated=True) for _ in range(8)]
+    axes.set(aspect="equal", xlim=(-0.25, cells + 0.7), ylim=(-0.2, 1.5))
+    corners = [CORNERS.numpy() + np.array((k, 0, 0)) for k in range(cells)]
 
-    def update(step: Step) -> None:
-        scene, k = step.scene, step.scene["cell"]
-        known = [(_flat(corners[c])[i], D[i]) for c, D in scene["D"].items() for i in range(8)]
-        for dots, negative in ((outside, False), (inside, True)):
-            at = [p for p, D in known if (D < 0) == negative]
-            dots.set_data([p[0] for p in at], [p[1] for p in at])
-        focus.set_segments(lines[12 * k : 12 * k + 12] if cells > 1 else [])
-        cut.set_segments([_flat(np.stack([corners[c][a], corners[c][a + 2**x]])) for c, x, a in scene["cut"]])
-        for i, text in enumerate(values):
-            x, y = _flat(corners[k])[i]
-            text.set_position((x + 0.05, y + 0.05))
-            text.set_text(f"{i}: {scene['D'][k][i]:+.3f}" if cells == 1 else "")
-        points = _flat(scene["points"]) if len(scene["points"]) else np.zeros((0, 2))
-        vertices.set_data(points[:, 0], points[:, 1])
-        faces.set_verts([points[list(face)] for face in scene["faces"]])
+    def edge(k: int, axis: int, lower: int) -> np.ndarray:
+        return _flat(np.stack([corners[k][lower], corners[k][lower + 2**axis]]))
 
-    return update
+    for k in range(cells):
+        wide = 1.8 if k == now and cells > 1 else 0.8
+        axes.add_collection(LineCollection([edge(k, *e) for e in EDGES], colors=BETWEEN, linewidths=wide, alpha=0.7))
+    points = _flat(scene["points"]) if len(scene["points"]) else np.zeros((0, 2))
+    triangles = [points[list(face)] for face in scene["faces"]]
+    axes.add_collection(PolyCollection(triangles, facecolors=PALETTE[2], edgecolors=PALETTE[2], alpha=0.55))
+    axes.add_collection(LineCollection([edge(*cut) for cut in scene["cut"]], colors=PALETTE[1], linewidths=2.4))
+    for k, D in scene["D"].items():
+        at = _flat(corners[k])
+        axes.scatter(*at.T, s=64, c=[PALETTE[3] if d < 0 else PALETTE[0] for d in D], zorder=3)
+        for i in range(8 if cells == 1 else 0):
+            axes.text(at[i, 0] + 0.05, at[i, 1] + 0.05, f"{i}: {D[i]:+.3f}", color=BETWEEN, fontsize=8)
+    axes.plot(*points.T, "D", color=PALETTE[1], markersize=5)
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 RAY_WATCH = {
     raycast: {
         "raycast": ("depth_m", "normal_W", "rgb"),
-        "_surface_depths": (
-            "z",
-            "point_W",
-            "D",
-            "allocated",
-            "z_before",
-            "D_before",
-            "enters",
-            "leaves",
-            "step",
-            "ray",
-        ),
+        "_surface_depths": ("z", "point_W", "D", "allocated", "D_before", "enters", "leaves", "step"),
         "_distance_at": ("volume.voxel_index(point_W)", "voxel", "volume.W.view(-1)[voxel]", "close"),
         "_zero_crossing": ("z", "z0", "z1", "D0", "D1", "D"),
     }
 }
-
-
-def record_ray(
-    volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"], pixel: tuple[int, int]
-) -> tuple[Recording, Camera]:
-    """``raycast`` of one pixel: a recording, and the camera whose only pixel it is."""
-    u, v = pixel
-    if not (0 <= u < camera.width and 0 <= v < camera.height):
-        raise ValueError(f"pixel {pixel} is outside an image of {camera.width} x {camera.height}")
-    one = dataclasses.replace(camera, width=1, height=1, cx=camera.cx - u, cy=camera.cy - v)
-    return record(lambda: raycast(volume, one, T_WC), RAY_WATCH), one
 
 
 def raycast_stepper(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"], pixel: tuple[int, int]) -> Stepper:
@@ -263,18 +215,22 @@ def raycast_stepper(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4
     Raises:
         ValueError: the pixel is outside the image, or the volume is empty.
     """
-    recording, one = record_ray(volume, camera, T_WC, pixel)
+    check_pixel(camera, *pixel)
+    one = dataclasses.replace(camera, width=1, height=1, cx=camera.cx - pixel[0], cy=camera.cy - pixel[1])
+    recording = record(lambda: raycast(volume, one, T_WC), RAY_WATCH)
     steps = [*_march(recording), *_interpolate(recording)]
     end = recording.at("return RaycastOutput")[0]
     depth_m = float(end["depth_m"])
     found = f"the surface is at z = {depth_m:.4f} m" if depth_m else "this ray meets no surface"
     numbers = [("depth z", f"{depth_m:.5f} m"), ("normal", text_of(end["normal_W"][0], 3))]
-    steps.append(step_of(end, f"The result of this pixel: {found}.", numbers, steps[-1].scene))
-    plane = _Plane(volume, one, T_WC, max(float(s.scene["z"]) for s in steps) + 0.25)
+    steps.append(Step(end, f"The result of this pixel: {found}.", numbers, steps[-1].scene))
+    plane = _plane(volume, one, T_WC, max(float(s.scene["z"]) for s in steps) + 0.25)
     return Stepper(
-        steps, lambda figure: _ray_picture(figure, plane, steps), name="raycast", label=f"Raycast of pixel {pixel}",
-        stills=(min(6, len(steps) - 1), max(len(steps) - 6, 0), len(steps) - 1),
-    )  # fmt: skip
+        steps,
+        lambda figure, scene: _ray_picture(figure, scene, plane),
+        name="raycast",
+        label=f"Raycast of pixel {pixel}",
+    )
 
 
 def _march(recording: Recording) -> list[Step]:
@@ -298,17 +254,17 @@ def _march(recording: Recording) -> list[Step]:
             what = "its block is allocated, but this voxel was never observed"
         elif bool(look["close"]):
             what += ", interpolated because the surface is near"
-        steps.append(step_of(sample, f"Sample {len(z_met)}: {what}.", numbers, scene))
+        steps.append(Step(sample, f"Sample {len(z_met)}: {what}.", numbers, scene))
         D_before = text_of(float(turn["D_before"]))
         if bool(turn["enters"]) or bool(turn["leaves"]):
             where = "from + to −: a surface" if bool(turn["enters"]) else "from − to +: the back of a surface"
             signs = [("D before", D_before), ("D", text_of(D))]
-            steps.append(step_of(turn, f"D changes {where} is between these two samples.", signs, scene))
+            steps.append(Step(turn, f"D changes {where} is between these two samples.", signs, scene))
             break
         step, at = float(advance["step"]), scene | {"next": z + float(advance["step"])}
         how = "0.7 of the stored distance, at least one voxel" if known else "to where the ray leaves this block"
         ahead = [("step", f"{step:.4f} m"), ("next z", f"{z + step:.4f} m"), ("D before", D_before)]
-        steps.append(step_of(advance, f"No sign change. Advance by {100 * step:.1f} cm: {how}.", ahead, at))
+        steps.append(Step(advance, f"No sign change. Advance by {100 * step:.1f} cm: {how}.", ahead, at))
     return steps
 
 
@@ -326,51 +282,37 @@ def _interpolate(recording: Recording) -> list[Step]:
         if k:
             how = f"Refinement {k}: the interpolated D at the last guess replaces the end that has the same sign"
             names.append(("D at the last guess", text_of(float(line["D"]))))
-        steps.append(step_of(line, f"{how}.", [*names, ("z", f"{scene['z']:.5f} m")], scene))
+        steps.append(Step(line, f"{how}.", [*names, ("z", f"{scene['z']:.5f} m")], scene))
     return steps
 
 
-class _Plane:
-    """D in the plane of the ray and the camera's y axis."""
-
-    def __init__(self, volume: TsdfVolume, one: Camera, T_WC: Tensor, far_m: float, half_m: float = 0.3):
-        ray_C = rays(one, torch.tensor([0.5, 0.5]))
-        z, y = torch.linspace(0, far_m, 450), torch.linspace(-half_m, half_m, 100)
-        points_C = z[None, :, None] * ray_C + y[:, None, None] * torch.tensor([0.0, 1.0, 0.0])
-        found = volume.sample_nearest(se3.apply(T_WC.float(), points_C).view(-1, 3).to(volume.device))
-        D, W = found.D.view(100, 450).cpu().numpy(), found.W.view(100, 450).cpu().numpy()
-        ground = np.where(W > 0, 255, 0).astype(np.uint8)[..., None]
-        self.image = np.concatenate([distance_colours(D), ground], axis=2)
-        self.extent = (0.0, far_m, half_m, -half_m)
+def _plane(volume: TsdfVolume, one: Camera, T_WC: Tensor, far_m: float, half_m: float = 0.3) -> dict[str, Any]:
+    """D in the plane of the ray and the camera's y axis: the image and its extent."""
+    ray_C = rays(one, torch.tensor([0.5, 0.5]))
+    z, y = torch.linspace(0, far_m, 450), torch.linspace(-half_m, half_m, 100)
+    points_C = z[None, :, None] * ray_C + y[:, None, None] * torch.tensor([0.0, 1.0, 0.0])
+    found = volume.sample_nearest(se3.apply(T_WC.float(), points_C).view(-1, 3).to(volume.device))
+    D, W = found.D.view(100, 450).cpu().numpy(), found.W.view(100, 450).cpu().numpy()
+    ground = np.where(W > 0, 255, 0).astype(np.uint8)[..., None]
+    return {"X": np.concatenate([distance_colours(D), ground], axis=2), "extent": (0.0, far_m, half_m, -half_m)}
 
 
-def _ray_picture(figure: "Figure", plane: _Plane, steps: list[Step]) -> Callable[[Step], bool]:
+def _ray_picture(figure: "Figure", scene: dict[str, Any], plane: dict[str, Any]) -> None:
     above, below = figure.add_axes((0.12, 0.66, 0.86, 0.28)), figure.add_axes((0.12, 0.13, 0.86, 0.43))
-    above.imshow(plane.image, extent=plane.extent, aspect="auto", interpolation="nearest")
-    above.axhline(0, color=BETWEEN, linewidth=0.8)
+    above.imshow(**plane, aspect="auto", interpolation="nearest")
     style(above, title="D in a plane through the ray (red −, blue +)")
-    above.set_yticks([])
     style(below, x="depth z, m", y="D")
-    below.set_ylim(-1.1, 1.1)
-    below.axhline(0, color=BETWEEN, linewidth=0.8)
+    above.set_yticks([])
     orange, red = PALETTE[1], PALETTE[3]
-    dots = [moving(axes, "o", color=orange, markersize=4) for axes in (above, below)]
-    ahead = [moving(axes, "-", color=orange, linewidth=2) for axes in (above, below)]
-    chord = moving(below, "--", color=red, linewidth=1.4)
-    now = [moving(axes, "o", color=red, markersize=8, fillstyle="none", mew=2) for axes in (above, below)]
-    far = (0.0, plane.extent[1])
-
-    def update(step: Step) -> bool:
-        scene, before = step.scene, below.get_xlim()
-        z, bracket = scene["z"], scene["bracket"]
-        D = 0.0 if bracket else scene["D_met"][-1]
-        for k in range(2):
-            dots[k].set_data(scene["z_met"], scene["D_met"] if k else [0] * len(scene["z_met"]))
-            now[k].set_data([z], [D if k else 0])
-            to = [z, scene["next"]] if scene["next"] else []
-            ahead[k].set_data(to, [D if k and np.isfinite(D) else 0] * len(to))
-        chord.set_data(*((bracket[:2], bracket[2:]) if bracket else ([], [])))
-        below.set_xlim(*((bracket[0] - 0.02, bracket[1] + 0.02) if bracket else far))
-        return below.get_xlim() != before
-
-    return update
+    z, bracket, met = scene["z"], scene["bracket"], np.array(scene["D_met"])
+    D = 0.0 if bracket else met[-1]
+    for axes, height in ((above, 0), (below, 1)):
+        axes.axhline(0, color=BETWEEN, linewidth=0.8)
+        axes.plot(scene["z_met"], height * met, "o", color=orange, markersize=4)
+        axes.plot(z, height * D, "o", color=red, markersize=8, fillstyle="none", mew=2)
+        if scene["next"]:
+            axes.plot([z, scene["next"]], [height * np.nan_to_num(D)] * 2, color=orange, linewidth=2)
+    if bracket:
+        below.plot(bracket[:2], bracket[2:], "--", color=red, linewidth=1.4)
+    far = plane["extent"][1]
+    below.set(ylim=(-1.1, 1.1), xlim=(bracket[0] - 0.02, bracket[1] + 0.02) if bracket else (0.0, far))

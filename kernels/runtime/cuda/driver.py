@@ -7,7 +7,7 @@ import threading
 
 import torch
 
-from gsfusion_nb.backends import BackendUnavailable, KernelsUnusable
+from gsfusion_nb.backends import BackendUnavailable
 
 from .nvrtc import compile_source
 
@@ -68,7 +68,7 @@ def _module(operation: str, stem: str, index: int) -> ctypes.c_void_p:
     image = compile_source(stem, torch.cuda.get_device_capability(index))
     status = driver.cuModuleLoadData(ctypes.byref(module), image)
     if status and status != _OUT_OF_MEMORY:
-        raise KernelsUnusable("cuda", f"{operation}: {stem}.cu cannot be loaded: the driver says {_words(status)}")
+        raise BackendUnavailable(f"{operation}: {stem}.cu cannot be loaded: the driver says {_words(status)}")
     _check(operation, driver, status)
     return module
 

@@ -9,9 +9,8 @@ from torch import Tensor
 
 from gsfusion_nb.backends import BackendUnavailable
 
-from ..arguments import one_device
 from . import driver, nvrtc
-from .structs import Arguments
+from .structs import signature
 
 _EMULATOR = os.environ.get("GSFUSION_CUDA_EMULATOR", "")
 _DIMENSION_LIMIT = 2**31 - 1
@@ -37,13 +36,13 @@ if _reason := _why_unavailable():  # here and not in the package: every kernel i
     raise BackendUnavailable(_reason)
 
 
-def device_of(operation: str, **tensors: Tensor | None) -> torch.device:
-    """The one device of all ``tensors``.
+def device_of(operation: str, tensor: Tensor) -> torch.device:
+    """The device of a tensor; the check of the operation has seen that all others are there.
 
     Raises:
-        ValueError: they are on several. BackendUnavailable: the kernels do not run there.
+        BackendUnavailable: the kernels do not run there.
     """
-    device = one_device(operation, tensors)
+    device = tensor.device
     if device.type != ("cpu" if _EMULATOR else "cuda"):
         raise BackendUnavailable(f"{operation}: backend 'cuda' takes CUDA tensors, got tensors on {device}")
     return device
@@ -57,8 +56,8 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
         source: "file:kernel" of ``<file>.cu``.
         grid: Blocks along x, or along x and y.
         block: Threads of a block.
-        args: In the kernel's order: tensors (their address; ``None`` is the null pointer), bool and int (32 bits),
-            float (32 bits), ctypes values as they are, and groups of them (``structs``).
+        args: In the kernel's order: tensors for addresses (``None`` is the null pointer), numbers, and for a struct a
+            dictionary with its fields.
 
     Raises:
         ValueError: a tensor has gaps, or a number is too large. RuntimeError: the driver refuses.
@@ -69,20 +68,14 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
     if size[0] > _DIMENSION_LIMIT or size[1] > 65535:
         raise ValueError(f"{operation}: {size} blocks of work are more than a GPU takes at once")
     stem, kernel = source.split(":")
-    layout = _layouts.get((source, len(args)))
-    if layout is None:
-        layout = _layouts[source, len(args)] = Arguments(args)
-    values = layout.flat(args)
+    parameters = signature(stem, kernel)
+    values = parameters.flat(args)
     device = next(value.device for value in values if isinstance(value, Tensor))
-    pointers, _kept = layout.pack(operation, values)
+    pointers, _kept = parameters.pack(operation, values)
     if device.type == "cpu":
         _emulate(operation, kernel, size, block, pointers)
     else:
         driver.start(operation, stem, kernel, size, block, device, pointers)
-
-
-_layouts: dict[tuple[str, int], Arguments] = {}
-"""Of the kernels that were launched before."""
 
 
 @functools.cache

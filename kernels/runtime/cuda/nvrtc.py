@@ -14,9 +14,9 @@ from pathlib import Path
 
 import torch
 
-from gsfusion_nb import constants
-from gsfusion_nb.backends import BackendUnavailable, KernelsUnusable
+from gsfusion_nb.backends import BackendUnavailable
 from gsfusion_nb.files import cache_folder, write_file
+from gsfusion_nb.render import constants
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ def compile_source(stem: str, capability: tuple[int, int]) -> bytes:
     """Machine code of ``<stem>.cu`` for a GPU of that compute capability (PTX if it is newer than the compiler).
 
     Raises:
-        KernelsUnusable: the source does not compile; the compiler's words are in the message.
+        BackendUnavailable: the source does not compile; the compiler's words are in the message.
         BackendUnavailable: there is no NVRTC.
     """
     nvrtc = library()
@@ -97,7 +97,7 @@ def _compile(nvrtc: ctypes.CDLL, name: str, source: str, headers: dict[str, str]
         flags = (ctypes.c_char_p * len(options))(*(option.encode() for option in options))
         if nvrtc.nvrtcCompileProgram(program, len(options), flags):
             log = _fetch(nvrtc, name, program, "ProgramLog").rstrip(b"\0").decode(errors="replace")
-            raise KernelsUnusable("cuda", f"{name} does not compile with {' '.join(options)}:\n{log}")
+            raise BackendUnavailable(f"{name} does not compile with {' '.join(options)}:\n{log}")
         kind = "CUBIN" if "=sm_" in options[0] else "PTX"
         return _fetch(nvrtc, name, program, kind)
     finally:
@@ -121,8 +121,7 @@ def _architecture(nvrtc: ctypes.CDLL, capability: tuple[int, int]) -> str:
         return f"sm_{wanted}"
     older = [arch for arch in known if arch < wanted]
     if not older:
-        raise KernelsUnusable(
-            "cuda",
+        raise BackendUnavailable(
             f"backend 'cuda' needs a GPU of compute capability {min(known) / 10:.1f} or more, got {wanted / 10:.1f}",
         )
     return f"compute_{max(older)}"

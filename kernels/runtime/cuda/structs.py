@@ -1,100 +1,106 @@
-"""Groups of kernel arguments: a ``NamedTuple`` here is a struct of the same name and fields in the CUDA source.
+"""What a kernel is given, as its source says: its parameters, and the fields of the structs among them.
 
-A field is a number of 32 bits, or the address of a tensor, unless its annotation says what it is, for example
-``Annotated[float, ctypes.c_double]`` or ``Annotated[list[float], ctypes.c_float * 9]``. A test compares every group
-with its source.
-
-How the arguments of a kernel lie in memory is worked out at its first launch; after that they are packed in one go,
-because making an object of ``ctypes`` for each costs the host more than starting the kernel.
+How they lie in memory is worked out at a kernel's first launch; after that they are packed in one go, because making an
+object of ``ctypes`` for each costs the host more than starting the kernel.
 """
 
 import ctypes
 import functools
+import re
 import struct
-import types
 from collections.abc import Sequence
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Any
 
 from torch import Tensor
 
-_NUMBERS = {bool: ctypes.c_int, int: ctypes.c_int, float: ctypes.c_float}
-_CODES = {ctypes.c_void_p: "Q", ctypes.c_int: "i", ctypes.c_float: "f", ctypes.c_double: "d", ctypes.c_longlong: "q"}
+from .nvrtc import KERNELS
+
+_NUMBERS = {"int": ctypes.c_int, "float": ctypes.c_float, "double": ctypes.c_double}
+_CODES = {ctypes.c_void_p: "Q", ctypes.c_int: "i", ctypes.c_float: "f", ctypes.c_double: "d"}
 
 
-def is_group(arg: Any) -> bool:
-    """Whether an argument is a group of others."""
-    return isinstance(arg, tuple) and hasattr(arg, "_fields")
-
-
-@functools.cache
-def layout(group: type) -> type[ctypes.Structure]:
-    """The struct of a class of groups."""
-    hints = get_type_hints(group, include_extras=True)
-    return type(group.__name__, (ctypes.Structure,), {"_fields_": [(name, _c_type(h)) for name, h in hints.items()]})
-
-
-class Arguments:
-    """How the arguments of one kernel lie in memory: as the members of a struct.
+class Signature:
+    """The parameters of one kernel, which lie in memory like the members of a struct.
 
     Args:
-        example: The arguments of a launch; those of later ones are of the same kinds.
+        stem: Of ``<stem>.cu``.
+        kernel: Name of the kernel in it.
     """
 
-    def __init__(self, example: Sequence[Any]):
-        kinds = [layout(type(arg)) if is_group(arg) else _c_type_of(arg) for arg in example]
-        everything = type("Everything", (ctypes.Structure,), {"_fields_": [(f"_{i}", k) for i, k in enumerate(kinds)]})
-        self._offsets = [getattr(everything, f"_{i}").offset for i in range(len(kinds))]
-        text, end = "=", 0
+    def __init__(self, stem: str, kernel: str):
+        text = _source(f"{stem}.cu")
+        (parameters,) = re.findall(rf"__global__ void [^;{{]*?{kernel}\((.*?)\) \{{", text, re.DOTALL)
+        declared = _declared(text, parameters.replace(",", ";"))
+        everything: Any = type("Everything", (ctypes.Structure,), {"_fields_": declared})
+        self._offsets = [getattr(everything, name).offset for name, _ in declared]
+        self._groups = [[field[0] for field in getattr(kind, "_fields_", ())] for _, kind in declared]
+        layout, end = "=", 0
         for offset, code, size in _leaves(everything, 0):
-            text, end = f"{text}{offset - end}x{code}", offset + size
-        self._format = struct.Struct(text)
-        self._pointers = ctypes.c_void_p * len(kinds)
-        self._groups = [is_group(arg) for arg in example]
-        members: list[Any] = []
-        for kind, grouped in zip(kinds, self._groups, strict=True):
-            members += [field[1] for field in kind._fields_] if grouped else [kind]
-        self._tensors = [i for i, kind in enumerate(members) if kind is ctypes.c_void_p]
-        self._arrays = [i for i, kind in enumerate(members) if issubclass(kind, ctypes.Array)]
-        self._wrapped = [i for i, value in enumerate(self.flat(example)) if isinstance(value, ctypes._SimpleCData)]
+            layout, end = f"{layout}{offset - end}x{code}", offset + size
+        self._format = struct.Struct(layout)
+        self._pointers = ctypes.c_void_p * len(declared)
 
     def flat(self, args: Sequence[Any]) -> list[Any]:
-        """The arguments, those in groups one after another."""
+        """The arguments, those of structs one after another."""
         flat: list[Any] = []
-        for arg, grouped in zip(args, self._groups, strict=True):
-            if grouped:
-                flat += arg
+        for arg, fields in zip(args, self._groups, strict=True):
+            if fields:
+                flat += [arg[name] for name in fields]
             else:
                 flat.append(arg)
         return flat
 
     def pack(self, operation: str, values: list[Any]) -> tuple[Any, Any]:
-        """The addresses of the packed arguments, which are valid as long as the second result lives. ``values``: from
-        ``flat``; they are overwritten.
+        """The addresses of the packed arguments, valid as long as the second result lives. ``values``: from ``flat``.
 
         Raises:
-            ValueError: a tensor has gaps, or a number does not fit in 32 bits.
+            ValueError: a tensor has gaps, or a number does not fit in its bits.
         """
-        for i in self._tensors:
-            values[i] = _address(operation, values[i])
-        for i in self._wrapped:
-            values[i] = values[i].value
-        for i in reversed(self._arrays):
-            values[i : i + 1] = values[i]
+        numbers: list[Any] = []
+        for value in values:
+            if value is None:
+                numbers.append(0)
+            elif isinstance(value, Tensor):
+                if not value.is_contiguous():
+                    raise ValueError(f"{operation}: tensors without gaps were expected, got strides {value.stride()}")
+                numbers.append(value.data_ptr())
+            elif isinstance(value, (list, tuple)):
+                numbers += value
+            else:
+                numbers.append(value)
         try:
-            packed = ctypes.create_string_buffer(self._format.pack(*values), self._format.size)
+            packed = ctypes.create_string_buffer(self._format.pack(*numbers), self._format.size)
         except (struct.error, OverflowError) as e:
-            raise ValueError(f"{operation}: a number does not fit in the kernel's 32 bits ({e})") from None
+            raise ValueError(f"{operation}: a number does not fit in the kernel's parameter ({e})") from None
         start = ctypes.addressof(packed)
         return self._pointers(*[start + offset for offset in self._offsets]), packed
 
 
-def _address(operation: str, tensor: Tensor | None) -> int:
-    """Where the values of a tensor are; the null pointer for ``None``."""
-    if tensor is None:
-        return 0
-    if not tensor.is_contiguous():
-        raise ValueError(f"{operation}: tensors without gaps were expected, got strides {tensor.stride()}")
-    return tensor.data_ptr()
+def _source(name: str) -> str:
+    """A source and all that it includes, without comments."""
+    (path,) = KERNELS.glob(f"*/{name}")
+    text = re.sub(r"//.*", "", path.read_text(encoding="utf-8"))
+    return text + "".join(_source(included) for included in dict.fromkeys(re.findall(r'#include "(.+?)"', text)))
+
+
+def _declared(text: str, declarations: str) -> list[tuple[str, Any]]:
+    """Name and type of each variable in declarations such as ``const float *D, *W; int size[3]``."""
+    found = []
+    for declaration in filter(str.strip, declarations.split(";")):
+        found_type = re.match(r"\s*(?:const )?((?:(?:un)?signed )?(?:long long|\w+))(.*)", declaration, re.DOTALL)
+        assert found_type is not None
+        kind, names = found_type.groups()
+        for part in names.split(","):
+            star, name, length = re.findall(r"(\**)\s*(\w+)(?:\[(\d+)\])?\s*$", part)[0]
+            number = ctypes.c_void_p if star else _NUMBERS.get(kind) or _struct(text, kind)
+            found.append((name, number * int(length) if length else number))
+    return found
+
+
+def _struct(text: str, name: str) -> type[ctypes.Structure]:
+    """The struct of this name in a source."""
+    (body, *_) = re.findall(rf"struct {name} \{{(.*?)\}};", text, re.DOTALL)
+    return type(name, (ctypes.Structure,), {"_fields_": _declared(text, body)})
 
 
 def _leaves(kind: Any, start: int) -> list[tuple[int, str, int]]:
@@ -104,19 +110,10 @@ def _leaves(kind: Any, start: int) -> list[tuple[int, str, int]]:
         return [leaf for offset, k in fields for leaf in _leaves(k, start + offset)]
     if issubclass(kind, ctypes.Array):
         array: Any = kind
-        number, count = array._type_, array._length_
-        return [leaf for i in range(count) for leaf in _leaves(number, start + i * ctypes.sizeof(number))]
+        size = ctypes.sizeof(array._type_)
+        return [leaf for i in range(array._length_) for leaf in _leaves(array._type_, start + i * size)]
     return [(start, _CODES[kind], ctypes.sizeof(kind))]
 
 
-def _c_type_of(arg: Any) -> Any:
-    if arg is None or isinstance(arg, Tensor):
-        return ctypes.c_void_p
-    return type(arg) if isinstance(arg, ctypes._SimpleCData) else _NUMBERS[float if isinstance(arg, float) else int]
-
-
-def _c_type(hint: Any) -> Any:
-    if get_origin(hint) is Annotated:
-        return get_args(hint)[1]
-    choices = get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-    return ctypes.c_void_p if Tensor in choices else _NUMBERS[hint]
+signature = functools.cache(Signature)
+"""That of a kernel, read once."""

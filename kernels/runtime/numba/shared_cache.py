@@ -18,7 +18,7 @@ import time
 from importlib.util import resolve_name
 from pathlib import Path
 
-from numba.core import dispatcher, event
+from numba.core import dispatcher
 from numba.core.caching import FunctionCache
 
 from gsfusion_nb.files import try_lock
@@ -108,19 +108,4 @@ class SharedCache(FunctionCache):
         return Path(self._cache_path, f"{self._impl.filename_base}.lock")
 
 
-class _AfterFailure(event.Listener):
-    """Lets go of the lock of a function that could not be compiled, which numba does not save."""
-
-    def on_start(self, event: event.Event) -> None:
-        pass
-
-    def on_end(self, event: event.Event) -> None:
-        data = event.data
-        assert data is not None
-        function = data["dispatcher"]
-        if isinstance(function._cache, SharedCache) and tuple(data["args"]) not in function.overloads:
-            function._cache.release()
-
-
 dispatcher.FunctionCache = SharedCache  # of @njit(cache=True), from here on # pyright: ignore[reportAttributeAccessIssue]
-event.register("numba:compile", _AfterFailure())

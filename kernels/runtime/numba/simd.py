@@ -1,8 +1,11 @@
-"""Sixteen float32 lanes as one value inside numba functions, so that vector code does not hang on the auto-vectoriser.
+"""Sixteen lanes as one value inside numba functions, so that vector code does not hang on the auto-vectoriser.
 
 ``f32x16`` is an LLVM ``<16 x float>``: one register with AVX-512, two with AVX2, four with SSE or NEON; LLVM splits it
-by itself. Comparison gives a mask (``<16 x i1>``). Operators ``+ - * <, >=, &`` work between vectors; a scalar is made
-a vector with ``splat``.
+by itself. Comparison gives a mask (``<16 x i1>``). ``i32x16`` are integers beside them: indices, lookups through them,
+and marks in a byte map. Operators ``+ - * <, >=, &`` work between vectors; a scalar is made a vector with ``splat``.
+
+Bounds are the caller's everywhere; a lookup reads no lane that its mask excludes. The lookups need opaque pointers,
+that is numba 0.62 (llvmlite 0.45) or later.
 """
 
 import operator
@@ -15,68 +18,65 @@ from numba.core.extending import intrinsic, overload, register_model
 
 LANES = 16
 
-_FLOAT = ir.FloatType()
-_VECTOR = ir.VectorType(_FLOAT, LANES)
-_INT_VECTOR = ir.VectorType(ir.IntType(32), LANES)
+_FLOAT, _INT, _BYTE, _WIDE = ir.FloatType(), ir.IntType(32), ir.IntType(8), ir.IntType(64)
+_FLOATS, _INTS = ir.VectorType(_FLOAT, LANES), ir.VectorType(_INT, LANES)
 _MASK = ir.VectorType(ir.IntType(1), LANES)
 
 
-class _F32x16(types.Type):
-    def __init__(self):
-        super().__init__(name="f32x16")
+class _Lanes(types.Type):
+    def __init__(self, name: str):
+        super().__init__(name=name)
 
 
-class _Mask16(types.Type):
-    def __init__(self):
-        super().__init__(name="mask16")
+f32x16, i32x16, mask16 = _Lanes("f32x16"), _Lanes("i32x16"), _Lanes("mask16")
 
 
-f32x16 = _F32x16()
-mask16 = _Mask16()
-
-
-@register_model(_F32x16)
-class _VectorModel(models.PrimitiveModel):
+@register_model(_Lanes)
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, dmm, fe_type):
-        super().__init__(dmm, fe_type, _VECTOR)
+        vectors = {"f32x16": _FLOATS, "i32x16": _INTS, "mask16": _MASK}
+        super().__init__(dmm, fe_type, vectors[fe_type.name])
 
 
-@register_model(_Mask16)
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, dmm, fe_type):
-        super().__init__(dmm, fe_type, _MASK)
+def _lane(i: int) -> ir.Constant:
+    return ir.Constant(_INT, i)
 
 
 def _constant(value: float) -> ir.Constant:
-    return ir.Constant(_VECTOR, [ir.Constant(_FLOAT, value)] * LANES)
+    return ir.Constant(_FLOATS, [ir.Constant(_FLOAT, value)] * LANES)
 
 
-def _broadcast(builder, scalar):
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [ir.Constant(ir.IntType(32), 0)] * LANES)
-    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), zeros)
+def _splat(scalar_type, result, vector):
+    @intrinsic
+    def operation(typingctx, scalar):
+        def codegen(context, builder, sig, args):
+            undefined = ir.Constant(vector, ir.Undefined)
+            one = builder.insert_element(undefined, args[0], _lane(0))
+            return builder.shuffle_vector(one, undefined, ir.Constant(_INTS, [_lane(0)] * LANES))
+
+        return result(scalar_type), codegen
+
+    return operation
 
 
-@intrinsic
-def splat(typingctx, scalar):
-    """All lanes equal to a float32."""
-    sig = f32x16(types.float32)
-    return sig, lambda context, builder, sig, args: _broadcast(builder, args[0])
+splat = _splat(types.float32, f32x16, _FLOATS)
+"""All lanes equal to a float32."""
+splat_int = _splat(types.int32, i32x16, _INTS)
+"""All lanes equal to an int32."""
 
 
 @intrinsic
 def iota(typingctx):
     """0, 1, ..., 15."""
-    value = ir.Constant(_VECTOR, [ir.Constant(_FLOAT, float(i)) for i in range(LANES)])
+    value = ir.Constant(_FLOATS, [ir.Constant(_FLOAT, float(i)) for i in range(LANES)])
     return f32x16(), lambda context, builder, sig, args: value
 
 
-def _address(context, builder, sig, args):
-    array_type = sig.args[0]
-    array = context.make_array(array_type)(context, builder, args[0])
+def _address(context, builder, sig, args, of):
+    """Where ``array[index]``, the first two arguments, is: the address of a value of the type ``of``."""
+    array = context.make_array(sig.args[0])(context, builder, args[0])
     index = context.cast(builder, args[1], sig.args[1], types.intp)
-    pointer = builder.gep(array.data, [index], inbounds=True)
-    return builder.bitcast(pointer, _VECTOR.as_pointer())
+    return builder.bitcast(builder.gep(array.data, [index], inbounds=True), of.as_pointer())
 
 
 @intrinsic
@@ -85,7 +85,7 @@ def load(typingctx, array, index):
     sig = f32x16(array, index)
 
     def codegen(context, builder, sig, args):
-        value = builder.load(_address(context, builder, sig, args))
+        value = builder.load(_address(context, builder, sig, args, _FLOATS))
         value.align = 4
         return value
 
@@ -98,7 +98,7 @@ def store(typingctx, array, index, vector):
     sig = types.void(array, index, vector)
 
     def codegen(context, builder, sig, args):
-        written = builder.store(args[2], _address(context, builder, sig, args))
+        written = builder.store(args[2], _address(context, builder, sig, args, _FLOATS))
         written.align = 4
         return context.get_dummy_value()
 
@@ -113,22 +113,18 @@ def _binary(emit, result):
     return operation
 
 
-_add = _binary(lambda b, x, y: b.fadd(x, y, flags=("contract",)), f32x16)
-_sub = _binary(lambda b, x, y: b.fsub(x, y, flags=("contract",)), f32x16)
-_mul = _binary(lambda b, x, y: b.fmul(x, y, flags=("contract",)), f32x16)
-_div = _binary(lambda b, x, y: b.fdiv(x, y), f32x16)
-_lt = _binary(lambda b, x, y: b.fcmp_ordered("<", x, y), mask16)
-_ge = _binary(lambda b, x, y: b.fcmp_ordered(">=", x, y), mask16)
-_gt = _binary(lambda b, x, y: b.fcmp_ordered(">", x, y), mask16)
-_and = _binary(lambda b, x, y: b.and_(x, y), mask16)
 maximum = _binary(lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y), f32x16)
+minimum = _binary(lambda b, x, y: b.select(b.fcmp_ordered("<", x, y), x, y), f32x16)
 times = _binary(lambda b, x, y: b.fmul(x, y), f32x16)
 """A product rounded by itself, never fused with a following addition: for results that must repeat the reference's."""
 either = _binary(lambda b, x, y: b.or_(x, y), mask16)
-minimum = _binary(lambda b, x, y: b.select(b.fcmp_ordered("<", x, y), x, y), f32x16)
+but_not = _binary(lambda b, x, y: b.and_(x, b.not_(y)), mask16)
+"""``a`` and not ``b``, two masks."""
+below = _binary(lambda b, x, y: b.icmp_unsigned("<", x, y), mask16)
+"""``0 <= x < y`` for integers of which y is not negative."""
 
 
-def lane_overload(symbol, operation, argument):
+def _let(symbol, argument, operation):
     """Let the operator ``symbol`` between two vectors of the type ``argument`` mean ``operation``."""
 
     @overload(symbol)
@@ -138,30 +134,43 @@ def lane_overload(symbol, operation, argument):
         return None
 
 
-for _symbol, _operation in (
-    (operator.add, _add),
-    (operator.sub, _sub),
-    (operator.mul, _mul),
-    (operator.truediv, _div),
-    (operator.lt, _lt),
-    (operator.ge, _ge),
-    (operator.gt, _gt),
+for _symbol, _type, _emit, _result in (
+    (operator.add, f32x16, lambda b, x, y: b.fadd(x, y, flags=("contract",)), f32x16),
+    (operator.sub, f32x16, lambda b, x, y: b.fsub(x, y, flags=("contract",)), f32x16),
+    (operator.mul, f32x16, lambda b, x, y: b.fmul(x, y, flags=("contract",)), f32x16),
+    (operator.truediv, f32x16, lambda b, x, y: b.fdiv(x, y), f32x16),
+    (operator.lt, f32x16, lambda b, x, y: b.fcmp_ordered("<", x, y), mask16),
+    (operator.ge, f32x16, lambda b, x, y: b.fcmp_ordered(">=", x, y), mask16),
+    (operator.gt, f32x16, lambda b, x, y: b.fcmp_ordered(">", x, y), mask16),
+    (operator.and_, mask16, lambda b, x, y: b.and_(x, y), mask16),
+    (operator.add, i32x16, lambda b, x, y: b.add(x, y), i32x16),
+    (operator.sub, i32x16, lambda b, x, y: b.sub(x, y), i32x16),
+    (operator.mul, i32x16, lambda b, x, y: b.mul(x, y), i32x16),
+    (operator.and_, i32x16, lambda b, x, y: b.and_(x, y), i32x16),
+    (operator.rshift, i32x16, lambda b, x, y: b.ashr(x, y), i32x16),
+    (operator.eq, i32x16, lambda b, x, y: b.icmp_signed("==", x, y), mask16),
+    (operator.ge, i32x16, lambda b, x, y: b.icmp_signed(">=", x, y), mask16),
 ):
-    lane_overload(_symbol, _operation, f32x16)
-lane_overload(operator.and_, _and, mask16)
+    _let(_symbol, _type, _binary(_emit, _result))
 
 
-@intrinsic
-def select(typingctx, mask, a, b):
-    """Lane of ``a`` where the mask is true, else of ``b``."""
-    return f32x16(mask, a, b), lambda context, builder, sig, args: builder.select(*args)
+def _select(result):
+    @intrinsic
+    def operation(typingctx, mask, a, b):
+        return result(mask, a, b), lambda context, builder, sig, args: builder.select(*args)
+
+    return operation
+
+
+select, select_int = _select(f32x16), _select(i32x16)
+"""Lane of the first vector where the mask is true, else of the second."""
 
 
 def _unary(name):
     @intrinsic
     def operation(typingctx, vector):
         def codegen(context, builder, sig, args):
-            kind = ir.FunctionType(_VECTOR, [_VECTOR])
+            kind = ir.FunctionType(_FLOATS, [_FLOATS])
             function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32")
             return builder.call(function, args)
 
@@ -180,8 +189,8 @@ def negative_abs(typingctx, vector):
     """-|x|, lane by lane: sets the sign bit."""
 
     def codegen(context, builder, sig, args):
-        sign = ir.Constant(_INT_VECTOR, [ir.Constant(ir.IntType(32), 1 << 31)] * LANES)
-        return builder.bitcast(builder.or_(builder.bitcast(args[0], _INT_VECTOR), sign), _VECTOR)
+        sign = ir.Constant(_INTS, [ir.Constant(_INT, 1 << 31)] * LANES)
+        return builder.bitcast(builder.or_(builder.bitcast(args[0], _INTS), sign), _FLOATS)
 
     return f32x16(vector), codegen
 
@@ -204,13 +213,13 @@ def reduce_add(typingctx, vector):
     def codegen(context, builder, sig, args):
         value = args[0]
         half = LANES // 2
-        undefined = ir.Constant(_VECTOR, ir.Undefined)
+        undefined = ir.Constant(_FLOATS, ir.Undefined)
         while half:
             order = [i + half if i < half else 0 for i in range(LANES)]
-            picks = ir.Constant(_INT_VECTOR, [ir.Constant(ir.IntType(32), i) for i in order])
+            picks = ir.Constant(_INTS, [ir.Constant(_INT, i) for i in order])
             value = builder.fadd(value, builder.shuffle_vector(value, undefined, picks))
             half //= 2
-        return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
+        return builder.extract_element(value, ir.Constant(_INT, 0))
 
     return types.float32(vector), codegen
 
@@ -235,7 +244,7 @@ def exp(typingctx, vector):
 
     def codegen(context, builder, sig, args):
         fma = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(_VECTOR, [_VECTOR] * 3), f"llvm.fma.v{LANES}f32"
+            builder.module, ir.FunctionType(_FLOATS, [_FLOATS] * 3), f"llvm.fma.v{LANES}f32"
         )
         t = builder.fmul(args[0], _constant(1.4426950408889634))
         magic = _constant(12582912.0)  # 1.5 * 2^23: adding it rounds to an integer held in the low mantissa bits
@@ -244,8 +253,161 @@ def exp(typingctx, vector):
         p = _constant(_EXP2_POLYNOMIAL[0])
         for c in _EXP2_POLYNOMIAL[1:]:
             p = builder.call(fma, [p, f, _constant(c)])
-        twenty_three = ir.Constant(_INT_VECTOR, [ir.Constant(ir.IntType(32), 23)] * LANES)
-        n = builder.shl(builder.bitcast(shifted, _INT_VECTOR), twenty_three)
-        return builder.bitcast(builder.add(builder.bitcast(p, _INT_VECTOR), n), _VECTOR)
+        twenty_three = ir.Constant(_INTS, [ir.Constant(_INT, 23)] * LANES)
+        n = builder.shl(builder.bitcast(shifted, _INTS), twenty_three)
+        return builder.bitcast(builder.add(builder.bitcast(p, _INTS), n), _FLOATS)
 
     return f32x16(vector), codegen
+
+
+@intrinsic
+def truncate(typingctx, vector):
+    """Lanes rounded towards zero, as integers; the values must fit."""
+    return i32x16(vector), lambda context, builder, sig, args: builder.fptosi(args[0], _INTS)
+
+
+def _gathered(context, builder, sig, args, scalar, otherwise):
+    """``array[index]`` of the first three arguments, an array of ``scalar``: ``otherwise`` where the mask is false."""
+    vector, pointers = otherwise.type, ir.VectorType(ir.PointerType(), LANES)
+    data = context.make_array(sig.args[0])(context, builder, args[0]).data
+    at = builder.gep(data, [args[1]], inbounds=True, source_etype=scalar)
+    at.type = pointers
+    kind = ir.FunctionType(vector, [pointers, _INT, _MASK, vector])
+    bits = "f32" if scalar == _FLOAT else str(scalar)
+    name = f"llvm.masked.gather.v{LANES}{bits}.v{LANES}p0"
+    function = cgutils.get_or_insert_function(builder.module, kind, name)
+    return builder.call(function, [at, _lane(8 if scalar == _WIDE else 4), args[2], otherwise])
+
+
+def _gather(scalar, result):
+    @intrinsic
+    def operation(typingctx, array, index, mask, otherwise):
+        def codegen(context, builder, sig, args):
+            return _gathered(context, builder, sig, args, scalar, args[3])
+
+        return result(array, i32x16, mask16, result), codegen
+
+    return operation
+
+
+gather, gather_int = _gather(_FLOAT, f32x16), _gather(_INT, i32x16)
+"""``gather(array, index, mask, otherwise)``: ``array[index]`` where the mask is true; a flat array of 32 bits."""
+
+
+@intrinsic
+def gather_pairs(typingctx, array, index, mask, otherwise):
+    """Both halves of ``array[index]`` of a contiguous uint64 array: low 32 bits as float lanes, high 32 as int lanes.
+
+    Where the mask is false: ``otherwise`` and 0. One lookup of 64 bits costs as much as one of 32.
+    """
+    sig = types.Tuple((f32x16, i32x16))(array, i32x16, mask16, f32x16)
+
+    def codegen(context, builder, sig, args):
+        wides = ir.VectorType(_WIDE, LANES)
+        fallback = builder.zext(builder.bitcast(args[3], _INTS), wides)
+        pair = _gathered(context, builder, sig, args, _WIDE, fallback)
+        low = builder.bitcast(builder.trunc(pair, _INTS), _FLOATS)
+        high = builder.trunc(builder.lshr(pair, ir.Constant(wides, [ir.Constant(_WIDE, 32)] * LANES)), _INTS)
+        return context.make_tuple(builder, sig.return_type, (low, high))
+
+    return sig, codegen
+
+
+def _byte(shift):
+    @intrinsic
+    def operation(typingctx, vector):
+        def codegen(context, builder, sig, args):
+            shifted = builder.lshr(args[0], ir.Constant(_INTS, [_lane(shift)] * LANES))
+            masked = builder.and_(shifted, ir.Constant(_INTS, [_lane(255)] * LANES))
+            return builder.sitofp(masked, _FLOATS)
+
+        return f32x16(vector), codegen
+
+    return operation
+
+
+first_byte, second_byte, third_byte = _byte(0), _byte(8), _byte(16)
+"""The lowest, second and third byte of every lane, as float lanes."""
+
+
+def _shuffle(builder, a, b, picks):
+    order = ir.Constant(ir.VectorType(_INT, len(picks)), [_lane(i) for i in picks])
+    return builder.shuffle_vector(a, b, order)
+
+
+@intrinsic
+def byte_triples(typingctx, array, index):
+    """Sixteen pixels of a flat uint8 picture as words, red + green << 8 + blue << 16, from ``array[index]`` on."""
+    sig = i32x16(array, index)
+
+    def codegen(context, builder, sig, args):
+        triples = ir.VectorType(_BYTE, 3 * LANES)
+        value = builder.load(_address(context, builder, sig, args, triples))
+        value.align = 1
+        zeros = ir.Constant(triples, None)
+        order = [k for i in range(LANES) for k in (3 * i, 3 * i + 1, 3 * i + 2, 3 * LANES)]
+        return builder.bitcast(_shuffle(builder, value, zeros, order), _INTS)
+
+    return sig, codegen
+
+
+@intrinsic
+def store_pairs(typingctx, array, index, low, high):
+    """Write 16 words to a contiguous uint64 array: float lanes as their low halves, int lanes as their high ones."""
+    sig = types.void(array, index, low, high)
+
+    def codegen(context, builder, sig, args):
+        order = [i // 2 + LANES * (i % 2) for i in range(2 * LANES)]
+        mixed = _shuffle(builder, builder.bitcast(args[2], _INTS), args[3], order)
+        written = builder.store(mixed, _address(context, builder, sig, args, mixed.type))
+        written.align = 8
+        return context.get_dummy_value()
+
+    return sig, codegen
+
+
+@intrinsic
+def mark(typingctx, array, index):
+    """``array[index] = 1`` for every lane, in a one-dimensional contiguous uint8 array; the bounds are the caller's."""
+    sig = types.void(array, i32x16)
+
+    def codegen(context, builder, sig, args):
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        for i in range(LANES):
+            at = builder.sext(builder.extract_element(args[1], _lane(i)), _WIDE)
+            builder.store(ir.Constant(_BYTE, 1), builder.gep(data, [at], inbounds=True))
+        return context.get_dummy_value()
+
+    return sig, codegen
+
+
+@intrinsic
+def float_bits(typingctx, scalar):
+    """The 32 bits of a float32 as uint32."""
+    return types.uint32(types.float32), lambda context, builder, sig, args: builder.bitcast(args[0], _INT)
+
+
+@intrinsic
+def prefetch(typingctx, array, index):
+    """Ask for the cache line of ``array[index]``, soon to be written."""
+    sig = types.void(array, index)
+
+    def codegen(context, builder, sig, args):
+        at = builder.bitcast(_address(context, builder, sig, args, _BYTE), ir.PointerType())
+        kind = ir.FunctionType(ir.VoidType(), [ir.PointerType(), _INT, _INT, _INT])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(function, [at, _lane(1), _lane(3), _lane(1)])
+        return context.get_dummy_value()
+
+    return sig, codegen
+
+
+@intrinsic
+def count_lanes(typingctx, mask):
+    """Number of true lanes, int64."""
+
+    def codegen(context, builder, sig, args):
+        bits = builder.zext(builder.bitcast(args[0], ir.IntType(LANES)), _WIDE)
+        return builder.ctpop(bits)
+
+    return types.int64(mask), codegen

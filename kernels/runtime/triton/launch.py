@@ -14,7 +14,6 @@ from triton.runtime import JITFunction
 
 from gsfusion_nb.backends import BackendUnavailable
 
-from ..arguments import one_device
 from ..arguments import parts as parts
 
 
@@ -27,13 +26,13 @@ INTERPRETED = not isinstance(_nothing, JITFunction)
 """Triton decides once, when a kernel is declared."""
 
 
-def device_of(operation: str, **tensors: Tensor | None) -> torch.device:
-    """The one device of all ``tensors``.
+def device_of(operation: str, tensor: Tensor) -> torch.device:
+    """The device of a tensor; the check of the operation has seen that all others are there.
 
     Raises:
-        ValueError: they are on several. BackendUnavailable: Triton does not run there.
+        BackendUnavailable: Triton does not run there.
     """
-    device = one_device(operation, tensors)
+    device = tensor.device
     if device.type != "cuda" and not (INTERPRETED and device.type == "cpu"):
         raise BackendUnavailable(
             f"{operation}: backend 'triton' takes CUDA tensors, got tensors on {device}; "

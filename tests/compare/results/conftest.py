@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.compare import Budget, RunResult, RunSpec
-from gsfusion_nb.compare.outputs import write_outputs
+from gsfusion_nb.compare.outputs import Results
+from gsfusion_nb.compare.run_all import ResultStore
 
 
 @pytest.fixture(scope="session")
@@ -65,7 +66,7 @@ def made_results(made_run):
 def written(made_results, tmp_path_factory):
     """The files of ``made_results``."""
     folder = tmp_path_factory.mktemp("lab")
-    return write_outputs(folder, made_results(folder))
+    return Results(runs=made_results(folder), store=ResultStore(folder)).write(folder)
 
 
 @pytest.fixture(scope="session")
@@ -75,14 +76,13 @@ def folder(written):
 
 
 def _pictures(folder, stem, psnr):
-    """Two views: a coloured gradient with more or less noise, its error, and the truth."""
+    """Two views: a coloured gradient with more or less noise, and the truth."""
     names, noise = {}, np.random.default_rng(1)
     columns, rows = np.meshgrid(np.linspace(40, 200, 64), np.linspace(60, 220, 48))
     for view in (4, 9):
         truth = np.stack([columns, rows, np.full((48, 64), 20.0 * view)], axis=2)
         render = truth + noise.normal(0, 255 * 10 ** (-psnr / 20), truth.shape)
-        error = 3 * abs(render - truth)
-        for name, image in ((f"truth {view}", truth), (f"held_out {view}", render), (f"held_out {view} error", error)):
+        for name, image in ((f"truth {view}", truth), (f"held_out {view}", render)):
             names[name] = f"{stem}-{name.replace(' ', '-')}.jpg"
             cv2.imwrite(str(folder / names[name]), np.clip(image, 0, 255).astype(np.uint8))
     return names

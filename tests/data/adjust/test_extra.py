@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.compare.entries import entries_of
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data.adjust.repair import apply_options
 from gsfusion_nb.seeding import SeedContext, apply_rule, check_rule
@@ -53,7 +52,7 @@ def test_extra_images_are_resized_with_the_frame():
     }  # fmt: skip
     assert frame.extra["labels"].dtype == torch.int64
     assert frame.extra["labels"].tolist() == [[0, 0, 7, 7]] * 3  # no class between two classes
-    assert frame.extra["sigma"][0].tolist() == [4.5, 6.5, 8.5, 10.5]  # means of 2 x 2 pixels
+    assert frame.extra["sigma"][0].tolist() == [0, 2, 4, 6]  # of the nearest pixels
     whole = apply_options(Plain(), DataConfig(), labels).mapping[0]
     assert torch.equal(whole.extra["labels"], torch.from_numpy(labels(whole)["labels"]))
     assert dataclasses.replace(whole, index=3).to("cpu").extra["labels"] is whole.extra["labels"]
@@ -67,19 +66,3 @@ def test_a_rule_sees_labels_and_drops_a_class():
     with pytest.raises(KeyError, match=r"labels.*sigma"):
         apply_rule(not_labelled, SeedContext(Plain()[0]))
     check_rule(not_labelled, extra=lambda frame: {"labels": (frame.rgb[..., 0] > 0.5).int()})
-
-
-@pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.full((HEIGHT, WIDTH), np.nan)])
-def test_a_bad_extra_image_is_refused_with_its_name(bad):
-    with pytest.raises(ValueError, match="labels"):
-        _ = apply_options(Plain(), DataConfig(), lambda frame: {"labels": bad}).mapping[0]
-
-
-def test_extra_images_are_part_of_the_key():
-    def key(extra):
-        sequence = apply_options(Plain(), DataConfig(hold_out_every=2, hold_out_offset=1), extra)
-        return entries_of([not_labelled], [sequence], seeds=[0])[0].spec.key
-
-    keys = [key(labels), key(lambda frame: labels(frame, 8)), key(None)]
-    assert len(set(keys)) == 3
-    assert key(labels) == keys[0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.config import DataConfig, RepairConfig, from_dict, to_dict
+from gsfusion_nb.config import DataConfig, RepairConfig
 from gsfusion_nb.config.parts import AXES, NAMED_AXES
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence, repaired
 from gsfusion_nb.data.adjust.poses import pose_between, reread_poses
@@ -31,17 +31,6 @@ def test_nothing_changes_nothing(tmp_path, box):
     assert RepairConfig().flags == ""
     assert RepairConfig().changes == {}
     assert open_sequence(tmp_path).source.pose(1).equal(sequence.pose(1))
-
-
-def test_flags_name_what_differs():
-    repair = RepairConfig(depth_factor=0.2, poses="world_to_camera", fit_sizes=True, skip=(3, 4), fx=525.25)
-    assert repair.flags == (
-        "--data.repair.depth-factor 0.2 --data.repair.poses world_to_camera --data.repair.fit-sizes "
-        "--data.repair.fx 525.25 --data.repair.skip 3 4"
-    )
-    saved = to_dict(DataConfig(repair=repair))
-    saved["repair"]["skip"] = [3, 4]  # as JSON gives it back
-    assert from_dict(DataConfig, saved) == DataConfig(repair=repair)
 
 
 def test_axes_by_hand(poses):

@@ -17,8 +17,6 @@ CAMERA = [1305031102.17 + i / 30 for i in range(12)]
         ([-0.1, 0.0, 0.1, 0.2], "1 of 4 are negative"),
         ([0.0, 1.0, 2.0, 3.0, 4.0], "they count the frames, from 0 to 4"),
         ([0.0, 5.0, 10.0, 20.0, 25.0, 30.0], "they count the frames"),
-        ([*CAMERA[:6], *(1000 * t for t in CAMERA[6:])], "they are in several units"),
-        ([0.1, 0.133, 0.166, 0.2, 233.0, 266.0, 300.0, 333.0], "they are in several units"),
         ([*CAMERA[6:], *CAMERA[:6]], "1 of 12 are smaller than the one before"),
         ([0.05, 0.21, 0.12, 0.30, 0.08, 0.17], "2 of 6 are smaller than the one before"),
     ],
@@ -46,10 +44,6 @@ def test_names_may_confirm_another_order_than_the_list():
     assert judge_stamps(shuffled, names=[f"{i:06d}" for i in range(12)]).times_s is None
 
 
-def test_a_file_of_seconds_may_hold_whole_seconds():
-    assert judge_stamps([0.0, 1.0, 2.0, 3.0], unit="s").times_s == [0, 1, 2, 3]
-
-
 def test_nearest_within_the_limit():
     assert associate([0.0, 1.0, 2.0], [0.01, 1.03, 1.99]) == [(0, 0), (2, 2)]
     assert associate([0.0, 1.0, 2.0], [0.01, 1.03, 1.99], max_difference_s=0.05) == [(0, 0), (1, 1), (2, 2)]
@@ -59,12 +53,6 @@ def test_each_entry_is_used_once_and_the_best_pair_wins():
     # both want entry 0; the second is nearer, so the first takes what is left
     assert associate([0.000, 0.012], [0.010, 0.019], max_difference_s=0.02) == [(0, 1), (1, 0)]
     assert associate([0.000, 0.012], [0.010], max_difference_s=0.02) == [(1, 0)]
-
-
-def test_any_order_and_empty():
-    assert associate([2.0, 0.0, 1.0], [1.0, 2.0, 0.0]) == [(1, 2), (2, 0), (0, 1)]
-    assert associate([], [1.0]) == []
-    assert associate([1.0], []) == []
 
 
 def test_against_exhaustive_search():

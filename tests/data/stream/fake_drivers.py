@@ -1,4 +1,4 @@
-"""Stand-ins for ``pyrealsense2`` and ``pyk4a`` with the part of their API that is used, replaying given pictures.
+"""A stand-in for ``pyrealsense2`` with the part of its API that is used, replaying given pictures.
 
 ``plan`` lists what each wait gives: a number (that picture), "timeout", "no depth", "no colour", or "unplug".
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Replay:
-    """What the device behind both drivers does."""
+    """What the device behind the driver does."""
 
     def __init__(self, pictures, plan, *, K, size, coeffs=(0.0,) * 8):
         self.pictures, self.plan, self.K, self.size, self.coeffs = pictures, list(plan), K, size, coeffs
@@ -57,20 +57,16 @@ class _Frames:
         return self
 
 
-def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_conrady", serials=("123",)):
+def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_conrady"):
     """A module like pyrealsense2."""
     rs = types.SimpleNamespace()
-    rs.camera_info = types.SimpleNamespace(serial_number="serial")
     rs.stream = types.SimpleNamespace(color="color", depth="depth")
     rs.format = types.SimpleNamespace(rgb8="rgb8", z16="z16")
 
-    class Context:
-        def query_devices(self):
-            known = serials if replay.connected else ()
-            return [types.SimpleNamespace(get_info=lambda what, s=s: s) for s in known]
-
     class Config:
         def enable_device(self, serial):
+            if serial != "123":
+                raise_later.append(serial)
             replay.log.append(("device", serial))
 
         def enable_stream(self, stream, width, height, kind, fps):
@@ -81,9 +77,6 @@ def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_co
     raise_later: list = []
 
     class Pipeline:
-        def __init__(self, context):
-            pass
-
         def start(self, config):
             if raise_later:
                 raise RuntimeError("Couldn't resolve requests")
@@ -118,81 +111,13 @@ def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_co
             if not replay.connected:
                 raise RuntimeError("stop() cannot be called before start()")
 
-    class Step:
-        def __init__(self, name, *args):
-            self.name = (name, *args) if args else name
+    class Align:
+        def __init__(self, stream):
+            assert stream == "color"
 
         def process(self, frames):
-            replay.log.append(self.name)
             return frames
 
-    rs.context, rs.config, rs.pipeline = Context, Config, Pipeline
-    rs.align = lambda stream: Step("align", stream)
-    rs.disparity_transform = lambda to: Step("disparity", to)
-    for name in ("decimation", "threshold", "spatial", "temporal", "hole_filling"):
-        setattr(rs, f"{name}_filter", lambda name=name: Step(name))
+    rs.config, rs.pipeline = Config, Pipeline
+    rs.align = Align
     return rs
-
-
-class _Names:
-    """Any attribute is its own name."""
-
-    def __getattr__(self, name):
-        return name
-
-
-def kinect(replay: Replay, *, busy=False):
-    """A module like pyk4a."""
-    k4a = types.SimpleNamespace()
-
-    class K4AException(Exception):
-        pass
-
-    class K4ATimeoutException(K4AException):
-        pass
-
-    class Calibration:
-        def get_camera_matrix(self, which):
-            assert which == "COLOR"
-            fx, fy, cx, cy = replay.K
-            return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-
-        def get_distortion_coefficients(self, which):
-            assert which == "COLOR"
-            return np.array(replay.coeffs)
-
-    class PyK4A:
-        calibration = Calibration()
-
-        def __init__(self, config, device_id):
-            replay.log.append((config, device_id))
-
-        def start(self):
-            if busy:
-                raise K4AException("device is open elsewhere")
-            replay.running = True
-
-        def stop(self):
-            replay.running = False
-            replay.log.append("stopped")
-
-        def get_capture(self, timeout):
-            entry, rgb, depth_m = replay.next()
-            if entry == "timeout":
-                raise K4ATimeoutException
-            if entry == "unplug":
-                raise K4AException
-            assert rgb is not None
-            assert depth_m is not None
-            bgra = np.dstack([rgb[..., ::-1], np.full(rgb.shape[:2], 255, np.uint8)])
-            return types.SimpleNamespace(
-                color=None if entry == "no colour" else bgra,
-                transformed_depth=None if entry == "no depth" else np.rint(depth_m * 1000).astype(np.uint16),
-                color_timestamp_usec=1_000_000 + replay.n * 1_000_000 // 30,
-            )
-
-    k4a.K4AException, k4a.K4ATimeoutException, k4a.PyK4A = K4AException, K4ATimeoutException, PyK4A
-    k4a.ColorResolution = k4a.DepthMode = k4a.FPS = k4a.ImageFormat = k4a.CalibrationType = _Names()
-    k4a.Config = lambda **options: options
-    k4a.connected_device_count = lambda: 1 if replay.connected else 0
-    return k4a

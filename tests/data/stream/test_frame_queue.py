@@ -3,122 +3,44 @@
 import threading
 import weakref
 from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
-import torch
 
 from gsfusion_nb.backends import _choice, use_backend
 from gsfusion_nb.config import DataConfig, RepairConfig
 from gsfusion_nb.data import BadFrameError, SequenceError
 from gsfusion_nb.data.readers import folder
-from gsfusion_nb.data.stream import POLICIES, BackgroundFrames, FrameQueue, LiveSource, SelectedFrames, read_ahead
-from gsfusion_nb.types import Camera, Frame
-
-CAMERA = Camera(width=2, height=2, fx=2.0, fy=2.0, cx=1.0, cy=1.0)
+from gsfusion_nb.data.stream import BackgroundFrames, LiveSource, SelectedFrames, read_ahead
+from gsfusion_nb.types import Frame
 
 
-def frame(i: int) -> Frame:
-    return Frame(
-        index=i,
-        timestamp_s=float(i),
-        rgb=torch.zeros(2, 2, 3),
-        depth_m=torch.ones(2, 2),
-        camera=CAMERA,
-        T_WC=torch.eye(4),
-    )
+def test_latest_holds_only_the_newest(sequence):
+    given = threading.Event()
+
+    def source() -> Iterator[Frame]:
+        yield from (sequence[i] for i in range(3))
+        given.set()
+
+    frames = BackgroundFrames(source(), policy="latest")
+    frames._thread.start()
+    assert given.wait(5)
+    assert [f.index for f in frames] == [2]
+    assert (frames.n_received, frames.n_dropped) == (3, 2)
 
 
-def taken(queue: FrameQueue) -> list[int]:
-    """Indices of all that is left."""
-    found = []
-    while True:
-        try:
-            item = queue.get(0)
-        except StopIteration:
-            return found
-        assert item is not None
-        found.append(item.index)
+def test_all_makes_the_source_wait_and_loses_nothing(sequence):
+    counting = Counting(sequence)
+    with closing(BackgroundFrames(counting_frames(counting), size=2)) as frames:
+        first = next(frames)
+        assert [first.index, *(f.index for f in frames)] == 3 * [0, 1, 2, 3]
+        assert (frames.n_received, frames.n_dropped) == (12, 0)
+    assert counting.most_alive <= 6
 
 
-def fill(queue: FrameQueue, indices) -> None:
-    for i in indices:
-        queue.put(frame(i))
-
-
-def index_of(item: Frame | None) -> int:
-    assert item is not None
-    return item.index
-
-
-def test_a_queue_loses_its_oldest_and_counts_them():
-    queue = FrameQueue("queue", 3)
-    fill(queue, range(8))
-    queue.end()
-    assert taken(queue) == [5, 6, 7]
-    assert (queue.n_received, queue.n_dropped) == (8, 5)
-
-
-def test_latest_holds_only_the_newest_whatever_size_is_asked_for():
-    queue = FrameQueue("latest", 5)
-    fill(queue, range(4))
-    assert index_of(queue.get()) == 3
-    fill(queue, range(4, 7))
-    queue.end()
-    assert taken(queue) == [6]
-    assert (queue.n_received, queue.n_dropped) == (7, 5)
-
-
-def test_drop_loses_what_comes_while_one_waits_or_is_mapped():
-    queue = FrameQueue("drop")
-    fill(queue, [0, 1])  # 1 comes while 0 waits
-    assert index_of(queue.get()) == 0
-    fill(queue, [2, 3])  # while 0 is mapped
-    assert queue.get(0) is None  # 0 is done, nothing waits
-    fill(queue, [4, 5])
-    queue.end()
-    assert taken(queue) == [4]
-    assert (queue.n_received, queue.n_dropped) == (6, 4)
-
-
-def test_all_makes_the_source_wait_and_loses_nothing():
-    queue, waiting = FrameQueue("all", 2), threading.Event()
-    fill(queue, [0, 1])
-
-    def put_more():
-        waiting.set()
-        fill(queue, [2, 3])
-        queue.end()
-
-    thread = threading.Thread(target=put_more)
-    thread.start()
-    waiting.wait(5)
-    assert queue.n_waiting == 2
-    assert taken_until_end(queue) == [0, 1, 2, 3]
-    thread.join(5)
-    assert not thread.is_alive()
-    assert queue.n_dropped == 0
-
-
-def taken_until_end(queue: FrameQueue) -> list[int]:
-    found = []
-    while True:
-        try:
-            found.append(index_of(queue.get(5)))
-        except StopIteration:
-            return found
-
-
-@pytest.mark.parametrize("policy", POLICIES)
-def test_errors_of_single_frames_keep_their_place_and_are_never_dropped(policy):
-    queue = FrameQueue(policy, 2)
-    queue.put(frame(0))
-    queue.put_error(BadFrameError("frame 1 is torn"))
-    assert index_of(queue.get()) == 0
-    with pytest.raises(BadFrameError, match="frame 1 is torn"):
-        queue.get()
-    queue.put(frame(2))
-    queue.end()
-    assert taken(queue) == [2]
+def counting_frames(counting) -> Iterator[Frame]:
+    for i in range(len(counting)):
+        yield counting[i]
 
 
 class Counting:
@@ -216,7 +138,7 @@ class Silent(LiveSource):
 
 def test_a_source_that_waits_is_stopped(sequence):
     source = Silent(sequence[0])
-    with BackgroundFrames(source) as frames:
+    with closing(BackgroundFrames(source)) as frames:
         next(frames)
     assert source.stopping.is_set()
     assert "frames" not in {t.name for t in threading.enumerate()}
@@ -230,7 +152,7 @@ def test_the_chosen_backend_reaches_the_thread(sequence):
             seen.append(_choice.get())
             return super().__getitem__(i)
 
-    with use_backend("reference"), read_ahead(Asking(sequence)) as frames:
+    with use_backend("reference"), closing(read_ahead(Asking(sequence))) as frames:
         next(frames)
     assert seen[0] == "reference"
 
@@ -242,11 +164,6 @@ def test_selection_counts_arrivals_and_resizes(sequence):
     assert [f.timestamp_s for f in found] == [sequence[i].timestamp_s for i in (2, 1, 0)]
     assert found[0].camera == sequence.camera.resized(32, 24)
     assert found[0].rgb.shape == (24, 32, 3)
-
-
-def test_a_bad_frame_counts_as_an_arrival(sequence):
-    frames = frames_of(SelectedFrames(read_ahead(Counting(sequence, bad={1}), depth=0), DataConfig(stop=3)))
-    assert [f if isinstance(f, str) else f.index for f in frames] == [0, "frame 1 is torn", 2]
 
 
 def test_options_that_a_stream_cannot_have_are_refused(sequence):

@@ -1,4 +1,3 @@
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -8,9 +7,7 @@ import torch
 
 from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError
 from gsfusion_nb.data.readers import folder
-from gsfusion_nb.data.recorded.images import is_complete_image
 from gsfusion_nb.data.stream import GrowingFolder
-from gsfusion_nb.data.stream.growing_folder import PosesOfImages
 from gsfusion_nb.types import Frame
 
 
@@ -118,21 +115,8 @@ def test_a_frame_comes_only_when_both_images_and_the_pose_are_whole(writer):
     source = follow(writer)
     frame = next(source)
     assert writer.waits == 9
+    assert not writer.steps
     assert frame.rgb.shape == (48, 64, 3)
-
-
-def test_a_png_cut_anywhere_is_not_whole(recorded, tmp_path):
-    for name in ("depth/000000.png", "rgb/000000.jpg"):
-        data = (recorded / name).read_bytes()
-        path = tmp_path / Path(name).name
-        for n in (0, 4, 100, len(data) // 2, len(data) - 1):
-            path.write_bytes(data[:n])
-            assert not is_complete_image(path)
-        path.write_bytes(data)
-        assert is_complete_image(path)
-        path.write_bytes(data + b"\0" * 8)
-        assert is_complete_image(path)
-    assert not is_complete_image(tmp_path / "nothing.png")
 
 
 def test_poses_that_come_late_are_waited_for(writer):
@@ -171,11 +155,6 @@ def test_a_damaged_image_and_a_bad_pose_line_are_named(writer):
     assert "pose 2 has NaN" in found[2]
 
 
-def set_key(folder: Path, key: str, value) -> None:
-    path = folder / "intrinsics.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
-
-
 def check_poses(found, truth, expected: dict[int, int]) -> None:
     """``expected``: place in ``found`` -> frame of ``truth``."""
     for place, i in expected.items():
@@ -198,22 +177,11 @@ def test_lines_may_begin_with_the_name_of_their_image(writer, recorded):
     check_poses(everything(follow(writer)), folder(recorded), {0: 1, 1: 2, 2: 4})
 
 
-def test_images_that_do_not_begin_at_0_need_to_say_whose_the_first_line_is(writer, recorded):
+def test_images_that_do_not_begin_at_0_need_to_say_whose_the_first_line_is(writer):
     """A first image 1 may be the first of all, or 0 may be missing."""
     writer.then(writer.camera(), *writer.whole(0)[2:], *writer.whole(1), *writer.whole(2))
     with pytest.raises(SequenceError, match=r"not clear which line of .*poses.txt belongs to .*000001.jpg"):
         everything(follow(writer))
-    set_key(writer.target, "first_image", 0)
-    check_poses(everything(follow(writer)), folder(recorded), {0: 1, 1: 2})
-
-
-def test_two_images_of_one_number_are_named(writer):
-    writer.then(writer.camera(), *writer.whole(0), *writer.whole(1))
-    for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
-        shutil.copy(writer.source / kind / f"000002.{suffix}", writer.target / kind / f"b_000001.{suffix}")
-    found = everything(follow(writer))
-    assert indices(found) == [0, 1, "bad"]
-    assert "b_000001.jpg has the same number as an image before it" in found[2]
 
 
 def test_the_stop_file_ends_it_after_the_frames_that_are_there(writer):
@@ -239,23 +207,3 @@ def test_a_folder_without_intrinsics_says_so_in_the_end(writer):
     (writer.target / "intrinsics.json").write_text('{"width": 64')
     with pytest.raises(SequenceError, match=r"intrinsics\.json is not valid JSON"):
         everything(follow(writer, idle_s=1))
-
-
-def test_lines_that_are_appended_or_written_anew(tmp_path):
-    poses = PosesOfImages(tmp_path / "poses.txt")
-
-    def there() -> list[int]:
-        poses.update()
-        return [i for i in range(4) if poses.is_there(Path(f"{i}.jpg"))]
-
-    poses.first_image = 0
-    assert there() == []
-    poses.path.write_text("# x y\na\n\nb\nc")
-    assert there() == [0, 1]
-    with poses.path.open("a") as file:
-        file.write("c\nd\n")
-    assert there() == [0, 1, 2, 3]
-    poses.path.write_text("A\nB\nC")
-    assert there() == [0, 1]
-    assert not poses.update(final=True)
-    assert there() == [0, 1, 2]

@@ -4,7 +4,7 @@ import re
 import subprocess
 from pathlib import Path
 
-from gsfusion_nb import constants
+from gsfusion_nb.render import constants
 
 HERE = Path(__file__).parent
 KERNELS = Path(__file__).resolve().parents[3] / "kernels"

@@ -34,39 +34,12 @@ def assert_same_blocks(device):
     return check
 
 
-@pytest.mark.parametrize("sdf", ["z", "ray"])
-@pytest.mark.parametrize("guard", [True, False])
-@pytest.mark.parametrize(("width", "height"), [(64, 48), (37, 29), (16, 1), (1, 1)])
-def test_same_blocks(width, height, sdf, guard, make_frames, assert_same_blocks):
-    config = dataclasses.replace(CONFIG, sdf=sdf, outlier_guard=guard)
-    for frame in make_frames(width, height):
-        assert_same_blocks(config, frame, share=2e-3)
-
-
 @pytest.mark.parametrize("truncation_voxels", [1.0, 20.0])
 @pytest.mark.parametrize("shift", [0.0, -640.0])
 def test_bands_of_any_length_anywhere(truncation_voxels, shift, make_frames, assert_same_blocks):
     config = dataclasses.replace(CONFIG, truncation_voxels=truncation_voxels, outlier_guard=False)
     for frame in make_frames(63, 47, shift=shift):
         assert assert_same_blocks(config, frame, share=2e-3) > 0
-
-
-def test_missing_and_infinite_depth(make_frames, assert_same_blocks):
-    frame = make_frames(40, 30, n=1)[0]
-    for depth in (torch.zeros(30, 40), torch.full((30, 40), float("inf")), torch.full((30, 40), 0.1)):
-        assert assert_same_blocks(CONFIG, dataclasses.replace(frame, depth_m=depth), share=0.0) == 0
-    mixed = frame.depth_m.clone()
-    mixed[::3, ::4] = float("inf")
-    for guard in (True, False):
-        config = dataclasses.replace(CONFIG, near_m=0.0, outlier_guard=guard)
-        assert_same_blocks(config, dataclasses.replace(frame, depth_m=mixed), share=2e-3)
-
-
-def test_a_bad_pose_is_refused(make_frames, device):
-    frame = make_frames(40, 30, n=1)[0]
-    bad = dataclasses.replace(frame, T_WC=frame.T_WC * float("nan")).to(device)
-    with use_backend("cuda"), pytest.raises(ValueError, match="T_WC must be finite"):
-        band_blocks(TsdfVolume(CONFIG, device), bad)
 
 
 @pytest.fixture
@@ -116,18 +89,6 @@ def test_same_voxels(width, height, sdf, make_frames, fuse_both, assert_same_vox
     assert width < 64 or float(volumes[1].W.max()) == 3.0
 
 
-@pytest.mark.parametrize(("band", "by_distance"), [(1.5, True), (1.5, False), (0.0, True)])
-def test_weighted_colours(band, by_distance, make_frames, fuse_both, compare):
-    """A distance that is off by its rounding changes a weight by at most that part of the band."""
-    frames, rounding = make_frames(64, 47, n=4, eight_bit=False), 1e-5
-    config = dataclasses.replace(CONFIG, colour_band_voxels=band, colour_by_distance=by_distance, max_weight=100.0)
-    (a, b), _ = fuse_both(config, frames)
-    compare("fuse_frame_", "W_rgb", b.W_rgb, a.W_rgb, len(frames) * rounding, share=1e-4)
-    certain = a.W_rgb.clamp(max=1.0)[:, None]
-    moved = len(frames) * rounding
-    compare("fuse_frame_", "weighted rgb", b.rgb_planes.cpu() * certain, a.rgb_planes * certain, moved, share=1e-4)
-
-
 @pytest.mark.parametrize("shift", [-3.0, 640.0])
 def test_voxels_anywhere_in_the_world(shift, make_frames, fuse_both, assert_same_voxels):
     volumes, _ = fuse_both(CONFIG, make_frames(40, 31, n=2, shift=shift))
@@ -149,19 +110,3 @@ def test_a_camera_inside_the_map(make_frames, device, copy_to, assert_same_voxel
     assert_same_voxels((volume, ours))
     assert updated == int((ours.W > 0).sum())
     assert not bool((ours.W * (ours.block_coords[:, 2] < 0)[:, None]).any())
-
-
-def test_frames_and_volumes_with_nothing_in_them(make_frames, device, fuse_both, assert_same_voxels):
-    frame = make_frames(33, 21, n=1)[0]
-    with use_backend("cuda"):
-        assert fuse_frame_(TsdfVolume(CONFIG, device), frame.to(device)) == 0
-    volumes, updated = fuse_both(CONFIG, [frame, dataclasses.replace(frame, depth_m=torch.zeros(21, 33))])
-    assert_same_voxels(volumes)
-    assert updated[1][1] == 0
-
-
-def test_strided_images(make_frames, fuse_both):
-    frame = make_frames(40, 31, n=1, eight_bit=False)[0]
-    images = (frame.rgb, frame.rgb.permute(2, 0, 1).contiguous().permute(1, 2, 0))
-    volumes = [fuse_both(CONFIG, [dataclasses.replace(frame, rgb=rgb)])[0][1] for rgb in images]
-    assert torch.equal(*(volume.rgb_planes for volume in volumes))

@@ -39,20 +39,6 @@ def test_long_lists_and_clamped_alphas(make_scene, make_camera, pose, to, compar
         compare("over base", f"v_{name}", value, getattr(gradient, name), 2e-5, share=2e-3)
 
 
-def test_the_order_of_the_gaussians_does_not_matter(make_scene, make_camera, pose, to, compare):
-    camera, params = make_camera(40, 24), make_scene(300, 0, scale_m=0.12)
-    order = torch.randperm(300, generator=torch.Generator().manual_seed(3))
-    moved = GaussianParams(**{name: column[order] for name, column in vars(params).items()})
-    size = (24, 40)
-    base = Base(rgb=torch.full((*size, 3), 0.5), depth_m=torch.full(size, 2.5), weight=torch.ones(size))
-    v_rgb = torch.ones(*size, 3)
-    with use_backend("cuda"):
-        (a, v_a, _), (b, v_b, _) = (drawn(to(p), camera, to(pose), to(base), to(v_rgb)) for p in (params, moved))
-    compare("order", "rgb", a.rgb, b.rgb.cpu(), 2e-6)
-    for name, value in vars(v_a).items():
-        compare("order", f"v_{name}", value.cpu()[order], getattr(v_b, name).cpu(), 2e-5)
-
-
 def test_three_gaussians_in_numbers(to):
     """The picture of tests/render/test_over_base.py, whose numbers were derived by hand, in float32."""
     params, camera, T_WC, base, target = three_gaussians(torch.float32)

@@ -11,62 +11,6 @@ NAMES = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
 SIZES = [(0, 32, 16), (1, 16, 16), (60, 48, 40), (37, 33, 17)]
 
 
-def some_pixels(height: int, width: int) -> torch.Tensor:
-    """Rectangles that cut tiles, and leave many out."""
-    pixels = torch.zeros(height, width, dtype=torch.bool)
-    pixels[height // 3 : height // 2, : width // 3] = True
-    pixels[: height // 4, width // 2 : width // 2 + 5] = True
-    return pixels
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
-@pytest.mark.parametrize(("n", "width", "height"), SIZES)
-def test_picture_and_gradients(
-    n, width, height, degree, make_scene, make_camera, make_images, draw_both, compare_pictures, compare_gradients
-):
-    camera, params = make_camera(width, height), make_scene(n, degree)
-    pictures, gradients, _ = draw_both(params, camera, make_images(camera), opaque_alpha=0.6)
-    compare_pictures(*pictures)
-    compare_gradients(*gradients)
-
-
-def test_some_pixels_and_some_rows(
-    make_scene, make_camera, make_images, pose, to, generator, compare_pictures, compare_gradients
-):
-    camera, params = make_camera(48, 40), make_scene(60, 1)
-    v, pixels = make_images(camera), some_pixels(40, 48)
-    rows = torch.rand(60, generator=generator) < 0.4
-    theirs, saved = render_forward.reference(params, camera, pose, opaque_alpha=0.6, pixels=pixels)
-    expected = render_vjp.reference(saved, *v, rows=rows)
-    nonsense = [torch.where(pixels[..., None] if x.ndim == 3 else pixels, x, torch.nan) for x in v]
-    with use_backend("cuda"):
-        ours, saved = render_forward(to(params), camera, to(pose), opaque_alpha=0.6, pixels=to(pixels))
-        found = render_vjp(saved, *to(nonsense), rows=to(rows))
-        none, nothing = render_forward(to(params), camera, to(pose), pixels=to(pixels & False))
-    assert int(nothing.lists.offset[-1]) == 0
-    assert not none.alpha.any()
-    compare_pictures(ours, theirs)
-    assert (ours.dominant_index.cpu()[~pixels] == -1).all()
-    compare_gradients(found, expected)
-    assert not any(x.cpu()[~rows].any() for x in vars(found).values())
-
-
-def test_optional_outputs_and_gradients(make_scene, make_camera, make_images, pose, to, compare_gradients):
-    camera, params = make_camera(33, 17), make_scene(37, 0)
-    v_rgb, v_depth, v_alpha = make_images(camera)
-    theirs, saved = render_forward.reference(params, camera, pose, opaque_alpha=0.6)
-    with use_backend("cuda"):
-        out, ours = render_forward(to(params), camera, pose, with_indices=False)
-        hits, _ = render_forward(to(params), camera, pose, with_indices=False, opaque_alpha=0.6)
-    assert out.first_index is out.dominant_index is out.hit_index is None
-    assert torch.equal(hits.hit_index.cpu(), theirs.hit_index)
-    for extra in ({}, {"v_depth_m": v_depth}, {"v_alpha": v_alpha}):
-        expected = render_vjp.reference(saved, v_rgb, **extra)
-        with use_backend("cuda"):
-            found = render_vjp(ours, to(v_rgb), **{k: to(x) for k, x in extra.items()})
-        compare_gradients(found, expected)
-
-
 def test_gradients_are_the_differences_of_the_reference_in_float64(make_scene, make_camera, make_images, pose, to):
     """d sum(v . images) along a random direction of each parameter, by central differences."""
     camera, params = make_camera(32, 24), make_scene(20, 1, scale_m=0.15)
@@ -87,22 +31,6 @@ def test_gradients_are_the_differences_of_the_reference_in_float64(make_scene, m
         difference = (ends[0] - ends[1]) / (2 * h)
         along = float((getattr(found, name).cpu().double() * direction).sum())
         assert along == pytest.approx(difference, rel=2e-4, abs=1e-3), name
-
-
-def test_closed_form_profile(to):
-    """Isotropic 1 cm Gaussian on the axis at 2 m, fx 600: variance 9.3 px^2, alpha o exp(-d^2 / 18.6)."""
-    camera = Camera(width=33, height=33, fx=600.0, fy=600.0, cx=16.5, cy=16.5)
-    params = GaussianParams(
-        xyz_W=torch.tensor([[0.0, 0.0, 2.0]]),
-        log_scale=torch.full((1, 3), 0.01).log(),
-        quat=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-        opacity_logit=torch.zeros(1),
-        sh=torch.ones(1, 1, 3),
-    )
-    with use_backend("cuda"):
-        out, _ = render_forward(to(params), camera, torch.eye(4))
-    expected = [0.5, 0.473828, 0.403249, 0.308196, 0.130389]
-    assert [out.alpha[16, 16 + d].item() for d in (0, 1, 2, 3, 5)] == pytest.approx(expected, abs=2e-6)
 
 
 def test_a_wall_stops_the_light_and_hits_go_on_behind_it(to):

@@ -5,7 +5,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.render import render_forward, render_vjp
-from gsfusion_nb.types import Camera, GaussianParams
+from gsfusion_nb.types import GaussianParams
 
 
 def test_many_gaussians_in_a_tile(make_scene, make_camera, make_images, draw_both, compare_pictures, compare_gradients):
@@ -42,26 +42,6 @@ def test_gradient_of_the_viewing_direction(degree, make_scene, make_camera, make
         compare("direction", name, getattr(found, name), getattr(expected, name), 2e-5)
 
 
-def test_frozen_rows_still_stand_in_the_light(to):
-    """An opaque wall in front, frozen, leaves 1 % of the light, and so of the gradient, to what is behind it."""
-    camera = Camera(width=16, height=16, fx=16.0, fy=16.0, cx=8.0, cy=8.0)
-    wall = GaussianParams(
-        xyz_W=torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 1.0]]),
-        log_scale=torch.full((2, 3), 3.0),
-        quat=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(2, 1),
-        opacity_logit=torch.tensor([0.0, 20.0]),
-        sh=torch.ones(2, 1, 3),
-    )
-    seen = {}
-    with use_backend("cuda"):
-        for name, params in (("behind", wall), ("alone", wall[:1])):
-            _, saved = render_forward(to(params), camera, torch.eye(4))
-            rows = torch.tensor([True, False])[: len(params)]
-            seen[name] = render_vjp(saved, to(torch.ones(16, 16, 3)), rows=to(rows))
-    torch.testing.assert_close(seen["behind"].sh[0], 0.01 * seen["alone"].sh[0], rtol=1e-4, atol=0)
-    assert not seen["behind"].sh[1].any()
-
-
 def test_no_tile_is_listed_in_vain_and_none_is_missing(make_scene, make_camera, pose, to):
     """A tile lists a Gaussian where its alpha reaches 1/255 at a pixel, and hardly anywhere else."""
     camera, params = make_camera(96, 80), make_scene(40, 0)
@@ -80,17 +60,3 @@ def test_no_tile_is_listed_in_vain_and_none_is_missing(make_scene, make_camera, 
     assert listed[needed].all()
     assert needed.sum() > 50
     assert (listed & ~needed).sum() <= 0.1 * needed.sum()
-
-
-def test_strided_parameters_are_packed(make_scene, make_camera, make_images, pose, to, compare):
-    camera, params = make_camera(33, 17), make_scene(37, 1)
-    strided = {name: torch.stack([value, value], dim=-1)[..., 0] for name, value in vars(params).items()}
-    v = make_images(camera)
-    with use_backend("cuda"):
-        whole, saved = render_forward(to(params), camera, to(pose))
-        expected = render_vjp(saved, *to(v))
-        ours, saved = render_forward(to(GaussianParams(**strided)), camera, to(pose.T.contiguous().T))
-        found = render_vjp(saved, *(x.transpose(0, 1).contiguous().transpose(0, 1) for x in to(v)))
-    assert torch.equal(ours.rgb, whole.rgb)
-    for name in vars(expected):
-        compare("strided", name, getattr(found, name), getattr(expected, name), 1e-5)

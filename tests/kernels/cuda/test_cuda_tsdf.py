@@ -8,7 +8,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.tsdf import FusedView, TsdfVolume, band_blocks, extract_mesh, fuse_frame_, sample_voxels
+from gsfusion_nb.tsdf import FusedView, TsdfVolume, band_blocks, extract_mesh, fuse_frame_
 from gsfusion_nb.types import Mesh
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0)
@@ -25,20 +25,6 @@ def test_a_set_that_is_too_small_grows(make_frames, device, monkeypatch):
             found = band_blocks(TsdfVolume(CONFIG, device=device), frame.to(device))
             assert len(found) > 100
             assert abs(len(found) - len(expected)) <= 1
-
-
-def test_same_samples(make_frames, make_volume, to, compare, copy_to, generator):
-    config = dataclasses.replace(CONFIG, voxel_size_m=0.08)
-    volume = make_volume(config, make_frames(40, 30, n=2))
-    points = torch.cat([3 * torch.rand(200, 3, generator=generator) - 1.5, torch.tensor([[1e30, 0.0, -1e30]])])
-    expected = sample_voxels.reference(volume, points)
-    with use_backend("cuda"):
-        found = sample_voxels(copy_to(volume), to(points))
-        none = sample_voxels(copy_to(volume), to(points[:0]))
-    assert len(none.D) == 0
-    assert float((expected.W > 0).double().mean()) > 0.05
-    for name in ("D", "W", "rgb"):
-        compare("sample_voxels", name, getattr(found, name), getattr(expected, name), 0.0)
 
 
 @pytest.mark.parametrize("sdf", ["z", "ray"])
@@ -87,13 +73,6 @@ def test_random_signs_make_every_case(missing, generator, copy_to, compare):
     volume.rgb_planes[:] = torch.rand(volume.rgb_planes.shape, generator=generator)
     mesh = assert_same_mesh(volume, copy_to, compare)
     assert len(mesh.faces) > (1000 if missing < 0.1 else 10)
-
-
-def test_mesh_of_a_fused_map(make_frames, make_volume, copy_to, compare):
-    volume = make_volume(CONFIG, make_frames(64, 47, n=2))
-    assert len(assert_same_mesh(volume, copy_to, compare).faces) > 100
-    assert len(assert_same_mesh(volume, copy_to, compare, min_weight=2.0).faces) > 10
-    assert len(assert_same_mesh(volume, copy_to, compare, min_weight=1e6).faces) == 0
 
 
 def test_empty_volume_single_block_and_no_surface(copy_to, compare):

@@ -147,10 +147,6 @@ def _other_size(r: Recording) -> None:
     r.write(**{n: 2 * k[n] for n in ("width", "height", "fx", "fy")}, cx=2 * k["cx"] + 0.5, cy=2 * k["cy"] + 0.5)
 
 
-def _large_colour(r: Recording) -> None:
-    r.change_images("rgb", lambda i, rgb: cv2.resize(rgb[i], None, fx=1.5, fy=1.5))
-
-
 def _colour_ahead(r: Recording) -> None:
     r.change_images("rgb", lambda i, c: c[min(i + 2, len(c) - 1)])
     for folder in ("rgb", "depth"):
@@ -162,12 +158,10 @@ def _colour_ahead(r: Recording) -> None:
 _GL = np.diag([1.0, -1, -1, 1])
 _ROS = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 _MIRROR = np.diag([1.0, -1, 1, 1])
-_SCALED = np.diag([1.3, 1.3, 1.3, 1])
 
 BREAKAGES = {
     "clean": Breakage(lambda r: None, set()),
     "depth 5000 as 1000": Breakage(_scale_depth(5), {"depth scale"}, {"depth_factor": 0.2}),
-    "depth a tenth": Breakage(_scale_depth(0.1), {"depth scale"}, {"depth_factor": 10.0}),
     "depth 4 % off": Breakage(_scale_depth(1.04), {"depth scale"}, {"depth_factor": (1 / 1.04, 0.012)}),
     "mm poses": Breakage(
         _poses(lambda T: T * np.array([[1, 1, 1, 1000.0]] * 3 + [[1, 1, 1, 1]])),
@@ -184,8 +178,6 @@ BREAKAGES = {
         {"poses": "world_to_camera", "axes": "opengl"},
     ),
     "wxyz": Breakage(_poses(_wxyz_as_xyzw), {"quaternion order"}, {"quaternions": "wxyz"}),
-    "columns": Breakage(_poses(np.transpose), {"pose matrices"}, {"matrices": "column_major"}),
-    "scaled rotations": Breakage(_poses(lambda T: T @ _SCALED), {"pose matrices"}, {"nearest_rotation": True}),
     "pose jump": Breakage(_spike, {"pose jumps"}, {"skip": (12,)}),
     "path is interrupted": Breakage(_broken_path, {"pose jumps"}, {"start": 0, "stop": 20}),
     "poses early": Breakage(_later(-1), {"pose time"}, {"pose_shift_frames": 1.0}),
@@ -202,12 +194,11 @@ BREAKAGES = {
     ),
     "half intrinsics": Breakage(
         _intrinsics(lambda k: {n: k[n] / 2 for n in ("fx", "fy", "cx", "cy")}),
-        {"focal length"},
+        {"focal length", "principal point"},
         {"fx": ("fx", 0.01), "cx": ("cx", 0.02)},
     ),
     "other size": Breakage(_other_size, {"image size"}, {"fit_sizes": True}),
-    "large colour": Breakage(_large_colour, {"image size"}, {"fit_sizes": True}),
-    "half a pixel": Breakage(lambda r: r.write(pixel_centre=0.5), {"pixel centres"}, {"pixel_shift": 0.5}),
+    "half a pixel": Breakage(lambda r: r.write(pixel_centre=0.5), {"principal point"}, {"cx": ("cx", 0.002)}),
     "ray depth": Breakage(_ray_depth, {"depth kind"}, {"depth_kind": "ray"}),
     "65535": Breakage(lambda r: r.change_images("depth", _coded), {"depth codes"}, {"depth_max_m": ("code", 0.02)}),
     "colour moved": Breakage(

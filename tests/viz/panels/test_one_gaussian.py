@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.constants import SCREEN_BLUR_PX2
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.render import project_gaussians, tile_intersections
+from gsfusion_nb.render.constants import SCREEN_BLUR_PX2
 from gsfusion_nb.types import Camera
 from gsfusion_nb.viz.panels.one_gaussian import (
-    ORANGE,
-    WHITE,
     gaussian_handles,
     gaussian_row,
     one_gaussian_panel,
@@ -41,8 +39,8 @@ def test_turns_are_about_the_cameras_axes():
 
 def test_points_and_ellipses_are_drawn_and_agree_for_a_small_one():
     image, _ = projection_picture(ball(scale=0.2), CAMERA, zoom=6)
-    orange = (np.abs(image.astype(int) - ORANGE).max(2) < 40).nonzero()
-    white = (np.abs(image.astype(int) - WHITE).max(2) < 40).nonzero()
+    orange = (np.abs(image.astype(int) - (255, 150, 40)).max(2) < 60).nonzero()
+    white = (np.abs(image.astype(int) - 255).max(2) < 60).nonzero()
     assert len(orange[0]) > 300
     assert len(white[0]) > 100
     centre = [a.mean() for a in orange]
@@ -64,7 +62,7 @@ def test_the_longest_list_is_yellow(generator):
     params = ball(scale=0.02)
     p = project_gaussians(params, CAMERA, EYE)
     picture = tile_picture(torch.zeros(60, 80, 3), tile_intersections(p, CAMERA), scale=2)
-    assert picture.shape == (120 + 26, 160, 3)
+    assert picture.shape == (120, 160, 3)
     middle, corner = picture[58, 78].astype(int), picture[4, 4].astype(int)
     assert middle[0] > 120  # viridis ends in yellow
     assert middle[1] > 120

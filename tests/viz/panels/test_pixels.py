@@ -3,24 +3,18 @@
 import math
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.constants import ALPHA_MAX
+from gsfusion_nb.drawing.pictures import LABEL_PX
 from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc
 from gsfusion_nb.render import BaseView, render, render_over_base
+from gsfusion_nb.render.constants import ALPHA_MAX
 from gsfusion_nb.render.over_base import Base
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import MixMicroscope, PixelMicroscope
-from gsfusion_nb.viz.panels.pixel_microscope import mix_table
-from gsfusion_nb.viz.panels.pixel_stack import (
-    outlines,
-    pixel_stack,
-    project_splats,
-    stack_picture,
-)
+from gsfusion_nb.viz.panels.pixel_stack import outlines, pixel_stack, project_splats
 
 CAMERA = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=20.5, cy=15.5)
 EYE = torch.eye(4)
@@ -104,36 +98,19 @@ def params(generator):
     )
 
 
-def decoded(value):
-    return np.asarray(cv2.imdecode(np.frombuffer(value, np.uint8), cv2.IMREAD_COLOR))[..., ::-1]
-
-
-def test_from_python_it_is_the_function(params):
+def test_the_microscope_shows_what_the_function_gives_at_the_clicked_pixel(params):
     microscope = PixelMicroscope(params, LARGE, EYE, pixel=(10, 10))
-    stack = microscope.look_at(100, 60)
-    expected = pixel_stack(project_splats(params, LARGE, EYE), 100, 60)
+    before = microscope.picture()
+    microscope.drag((100.4 * 1.25, LABEL_PX + 60.6 * 1.25))
+    stack, expected = microscope.stack, pixel_stack(project_splats(params, LARGE, EYE), 100, 60)
     assert torch.equal(stack.row, expected.row)
-    assert microscope.clicks.pixel == (100, 60)
-    rendered = microscope.image[60, 100] / 255
-    assert np.abs(stack.colour.clamp(0, 1).numpy() - rendered).max() < 0.01
-
-
-def test_a_pixel_outside_is_refused_and_nothing_changes(params):
-    microscope = PixelMicroscope(params, LARGE, EYE, pixel=(10, 10))
+    assert np.abs(stack.colour.clamp(0, 1).numpy() - microscope.rendered[60, 100] / 255).max() < 0.01
+    assert (microscope.picture() != before).any()
+    assert microscope.caption.value.count("<tr") == min(len(stack), 14) + 2 + (len(stack) > 14)
+    microscope.drag((600.0, 100.0))  # in the other picture
+    assert (microscope.stack.u, microscope.stack.v) == (100, 60)
     with pytest.raises(ValueError, match="outside the picture"):
-        microscope.look_at(-1, 0)
-    assert (microscope.stack.u, microscope.stack.v) == (10, 10)
-    microscope.clicks.pixel = (999, -5)  # a front end may be mistaken
-    assert (microscope.stack.u, microscope.stack.v) == (319, 0)
-
-
-def test_bars_have_the_height_of_weight_and_the_strip_ends_in_the_colour(params):
-    stack = pixel_stack(project_splats(params, LARGE, EYE), 160, 120)
-    image = stack_picture(stack, width=420, height=240, scale=2)
-    assert image.shape == (480, 840, 3)
-    end = image[(240 - 32) * 2, 840 - 24 - 3]
-    expected = (stack.colour.clamp(0, 1).numpy() * 255).round()
-    assert np.abs(end.astype(float) - expected).max() <= 2
+        pixel_stack(microscope.splats, -1, 0)
 
 
 def test_outlines_are_one_standard_deviation(params):
@@ -173,7 +150,7 @@ def test_the_mean_is_the_rendered_pixel_in_any_order(mapper, generator):
     microscope = MixMicroscope(mapper, MIDDLE, EYE)
     hidden = 0
     for u, v in ((40, 30), (3, 20), (79, 59), (0, 0)):
-        mix = microscope.look_at(u, v)
+        mix = microscope.set(u=u, v=v).stack
         torch.testing.assert_close(mix.colour, mapper.output.rgb[v, u], rtol=1e-5, atol=1e-5)
         torch.testing.assert_close(mix.total, float(mapper.output.weight[v, u]), rtol=1e-5, atol=1e-5)
         other = mix.shuffled(generator)
@@ -184,14 +161,11 @@ def test_the_mean_is_the_rendered_pixel_in_any_order(mapper, generator):
     assert hidden > 0
 
 
-def test_a_click_shows_another_mix_with_words(mapper):
+def test_another_pixel_shows_another_mix(mapper):
     microscope = MixMicroscope(mapper, MIDDLE, EYE, pixel=(10, 10))
-    before = microscope.table.value, microscope.graph.value
-    microscope.clicks.pixel = (50, 40)
-    assert (microscope.stack.u, microscope.stack.v) == (50, 40)
-    assert before[0] != microscope.table.value == mix_table(microscope.stack)
-    assert before[1] != microscope.graph.value
-    assert "surface and" in microscope.caption.value
-    assert "two orders" in microscope.graph.alt
-    bundle = microscope._repr_mimebundle_()
-    assert "image/png" in str(bundle) or "image/jpeg" in str(bundle)
+    before = microscope.caption.value, microscope.picture()
+    microscope.set(u=50, v=40)
+    assert before[0] != microscope.caption.value
+    assert (before[1] != microscope.picture()).any()
+    assert "surface and" in microscope.image.alt
+    assert "image/jpeg" in microscope._repr_mimebundle_()[0]

@@ -13,7 +13,6 @@ from gsfusion_nb.seeding import Seeds, quadtree, registered, rule_options
 from gsfusion_nb.viz.panels.panel import Choice, Slider, Switch
 from gsfusion_nb.viz.panels.seeding import (
     QUADTREE_SHOWS,
-    RULE_SHOWS,
     cell_means,
     quadtree_picture,
     rule_context,
@@ -124,17 +123,3 @@ def test_the_dots_lie_where_the_seeds_project(scenes):
     red = np.argwhere((picture == (255, 48, 64)).all(-1))
     assert len(seeds) == 1
     assert np.abs(red - (60, 100)).max() <= 1
-
-
-def test_views_and_an_empty_proposal(scenes):
-    contexts, _ = scenes
-
-    def none(ctx):
-        return ctx.cells()[:0]
-
-    for show in RULE_SHOWS:
-        picture, seeds = rule_picture(none, contexts["first"], show=show, scale=2)
-        assert picture.shape == (480, 640, 3)
-        assert len(seeds) == 0
-    with pytest.raises(ValueError, match="show must be one of"):
-        rule_picture(none, contexts["first"], show="everything")

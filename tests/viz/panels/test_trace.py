@@ -24,27 +24,22 @@ def test_a_panel_shows_every_moment_and_follows_clicks(panel):
     first = panel.picture()
     assert first.shape == (330, 440, 3)
     n = len(panel.story.moments)
-    assert panel.slider.max == n - 1
+    assert panel.controls["moment"].max == n - 1
     for k in (1, n - 1):
         panel.go_to(k)
-        assert panel.story.moments[k].title in panel.numbers.value
-        assert "gsfusion_nb/" in panel.numbers.value
-    assert panel.next.disabled
-    panel.back.click()
-    assert panel.slider.value == n - 2
-    panel.follows = "Gaussian"
-    panel.clicks.pixel = (30, 20)
-    step = panel.story.moments[panel.slider.value]
+        assert panel.story.moments[k].title in panel.caption.value
+        assert "gsfusion_nb/" in panel.caption.value
+    panel.press("Previous")
+    assert panel.moment == n - 2
+    panel.set(follows="Gaussian").drag((30.5 * 440 / 48, 20.5 * 440 / 48))
     assert panel.story.id >= 0
     assert (panel.picture() != first).any()
-    assert str(panel.story.id) in panel.numbers.value
-    assert step.title in panel.clicks.alt
-    panel.follows = "voxel"
-    panel.clicks.pixel = (10, 11)
+    assert str(panel.story.id) in panel.caption.value
+    assert panel.story.moments[panel.moment].title in panel.image.alt
+    panel.set(follows="voxel").drag((10.5 * 440 / 48, 11.5 * 440 / 48))
     assert len(panel.story.ijk) == 3
     assert abs(panel.story.moments[0].z_m - 2.0) < 0.1
-    text = panel._repr_mimebundle_()[0]["text/plain"]
-    assert "voxel" in text
+    assert "voxel" in panel.caption.value
 
 
 def test_a_click_in_the_splat_viewer_follows_that_gaussian(panel):

@@ -44,18 +44,12 @@ def stepper():
     return adam_stepper(before=1, after=1)
 
 
-def test_next_back_restart_and_any_number(stepper):
-    stepper.restart()
-    assert (stepper.back().step, stepper.next().step, stepper.next().step, stepper.back().step) == (0, 1, 2, 1)
+def test_any_step_can_be_shown(stepper):
     stepper.step = 10_000
     assert stepper.step == stepper.count - 1
-    assert stepper.next().step == stepper.count - 1
     assert stepper.go_to(-2).step == stepper.count - 2
-    assert stepper.find("A new row") > 3
-    with pytest.raises(ValueError, match="no step"):
-        stepper.find("nothing like this")
     shown = stepper.shown
-    stepper.restart()
+    stepper.go_to(0)
     assert stepper.shown == shown + 1
     assert "<mark>" in stepper.code
     assert stepper.alt.startswith("Adam on a growing map")
@@ -72,7 +66,7 @@ def test_a_stored_notebook_keeps_some_steps_as_one_picture(stepper, monkeypatch)
     shown = metadata["image/png"]
     assert shown["width"] <= 1000
     assert "Adam on a growing map" in shown["alt"]
-    assert all(stepper.steps[i].title in shown["alt"] for i in stepper._stills)
+    assert stepper.steps[-1].title in shown["alt"]
     monkeypatch.delenv("GSNB_VIEW")
     monkeypatch.setenv("GSNB_SMOKE", "0")
     assert WIDGET_MIME in stepper._repr_mimebundle_()[0]

@@ -11,6 +11,11 @@ from gsfusion_nb.viz import marching_cubes_stepper, quadtree_stepper, raycast_st
 from gsfusion_nb.viz.steppers.volume import cut_out, row_of_cells
 
 
+def find(stepper, title):
+    """Number of the first step whose title contains a text."""
+    return next(k for k, step in enumerate(stepper.steps) if title in step.title)
+
+
 @pytest.mark.parametrize("cells", [1, 3])
 def test_marching_cubes_has_the_vertices_of_the_mesh(volume, press, cells):
     start = row_of_cells(volume, cells)
@@ -40,7 +45,7 @@ def test_raycast_ends_at_the_depth_of_the_pixel(volume, frame, press):
     stepper = raycast_stepper(volume, frame.camera, frame.T_WC, (u, v))
     steps = press(stepper)
     assert float(steps[-1][1]["depth z"].removesuffix(" m")) == pytest.approx(float(depth_m[v, u]), abs=1e-5)
-    change = stepper.find("D changes from + to −")
+    change = find(stepper, "D changes from + to −")
     assert stepper.steps[change].line.text.startswith("enters, leaves =")
     last = stepper.steps[change].scene["D_met"]
     assert last[-2] >= 0 > last[-1]

@@ -17,12 +17,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....checks import shown
 from ....data.lens import CameraModel
 from ....data.recorded.files import natural_order, number, table
+from ....data.recorded.images import read_rgb
 from ....data.recorded.poses import GL_TO_CV
 from ....data.sequence import SequenceError
-from ....errors import shown
-from ....foreign import is_file, read_object
+from ....files import is_file, parsing, read_object
 from ....geometry import se3
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
@@ -41,12 +42,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     if file is None:
         raise SequenceError(f"{path} holds no transforms.json; expected that file or its folder")
     values = read_object(file, "nerfstudio transforms")
-    frames = values.get("frames")
-    if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
-        raise SequenceError(f"{file} lacks frames; expected a list of objects with file_path and transform_matrix")
-    for i, frame in enumerate(frames):
-        if not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
-            raise SequenceError(f"{file}: frame {i} lacks file_path or transform_matrix")
+    frames = values["frames"]
     frames = sorted(frames, key=lambda f: natural_order(Path(f["file_path"])))
     if not options.depth and not any("depth_file_path" in f for f in frames):
         raise SequenceError(
@@ -86,16 +82,12 @@ def _undo(values: dict[str, Any], file: Path) -> tuple[Float[Tensor, "4 4"], lis
     notes = []
     back = torch.eye(4, dtype=torch.float64)
     if "applied_transform" in values:
-        A = torch.eye(4, dtype=torch.float64)
-        rows = _matrix(values["applied_transform"], f"{file}: applied_transform")
-        A[: len(rows)] = rows
+        A = _matrix(values["applied_transform"], f"{file}: applied_transform")
         if abs(float(torch.linalg.det(A[:3, :3])) - 1) > 1e-3:
             raise SequenceError(f"{file}: applied_transform must be a rotation and a translation; it scales or mirrors")
         back = se3.inverse(A)
         notes.append("applied_transform was undone")
     applied = number(values, "applied_scale", 1.0, file)
-    if not 1e-9 < applied < 1e9:
-        raise SequenceError(f"{file}: applied_scale must be a scale above 0, got {applied:g}")
     if applied != 1.0:
         back = back @ torch.diag(torch.tensor([1 / applied] * 3 + [1.0], dtype=torch.float64))
         notes.append(f"applied_scale {applied:g} was undone")
@@ -103,19 +95,17 @@ def _undo(values: dict[str, Any], file: Path) -> tuple[Float[Tensor, "4 4"], lis
 
 
 def _pose(frame: dict[str, Any], world: Float[Tensor, "4 4"], file: Path) -> Float[Tensor, "4 4"]:
-    T = torch.eye(4, dtype=torch.float64)
-    rows = _matrix(frame["transform_matrix"], f"{file}: transform_matrix of {frame['file_path']}")
-    T[: len(rows)] = rows
+    T = _matrix(frame["transform_matrix"], f"{file}: transform_matrix of {frame['file_path']}")
     moved = world @ T
     moved[:3, :3] = world[:3, :3] / torch.linalg.det(world[:3, :3]).abs() ** (1 / 3) @ T[:3, :3]
     return moved @ GL_TO_CV
 
 
-def _matrix(rows: Any, source: str) -> Float[Tensor, "R 4"]:
+def _matrix(rows: Any, source: str) -> Float[Tensor, "4 4"]:
     matrix = table(rows, source, "4x4 or 3x4 numbers")
     if matrix.ndim != 2 or tuple(matrix.shape) not in ((4, 4), (3, 4)):
         raise SequenceError(f"{source} must be 4x4 or 3x4 numbers, got {list(matrix.shape)}")
-    return matrix
+    return torch.cat([matrix[:3], torch.eye(4, dtype=matrix.dtype)[3:]])
 
 
 def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
@@ -124,13 +114,18 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
     if name not in _MODELS:
         raise SequenceError(f"{file}: cannot undistort camera_model {shown(name)}; known: {', '.join(_MODELS)}")
     source = f"{file}: the camera of {colour.name}"
-    width, height = _size(values, colour, source)
-    try:
-        fx, fy = _focal(values, width, height)
+    if "w" in values and "h" in values:
+        width, height = (int(number(values, key, 0, source)) for key in ("w", "h"))
+    else:
+        height, width = read_rgb(colour).shape[:2]
+    with parsing(source, "fl_x (or camera_angle_x), cx and cy as numbers"):
+        if "fl_x" in values:
+            fx, fy = float(values["fl_x"]), float(values.get("fl_y", values["fl_x"]))
+        else:
+            fx = 0.5 * width / math.tan(0.5 * float(values["camera_angle_x"]))
+            fy = 0.5 * height / math.tan(0.5 * float(values["camera_angle_y"])) if "camera_angle_y" in values else fx
         cx, cy = (float(values.get(k, half)) for k, half in (("cx", width / 2), ("cy", height / 2)))
         k = [float(values.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3", "k4")]
-    except (TypeError, ValueError, KeyError, ZeroDivisionError):
-        raise SequenceError(f"{source} must have fl_x (or camera_angle_x), cx and cy as numbers") from None
     fisheye = name == "OPENCV_FISHEYE"
     if not fisheye and k[5]:  # a numerator term in nerfstudio, a denominator term in OpenCV
         raise SequenceError(
@@ -138,24 +133,6 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
         )
     distortion = (k[0], k[1], k[4], k[5]) if fisheye else tuple(k[:5])
     return model_of([fx, fy, cx, cy], (width, height), source, centre=0.5, distortion=distortion, fisheye=fisheye)
-
-
-def _size(values: dict[str, Any], colour: Path, source: str) -> tuple[int, int]:
-    if "w" in values and "h" in values:
-        return int(number(values, "w", 0, source)), int(number(values, "h", 0, source))
-    from ....data.recorded.images import read_rgb
-
-    height, width = read_rgb(colour).shape[:2]
-    return width, height
-
-
-def _focal(values: dict[str, Any], width: int, height: int) -> tuple[float, float]:
-    if "fl_x" in values:
-        return float(values["fl_x"]), float(values.get("fl_y", values["fl_x"]))
-    fx = 0.5 * width / math.tan(0.5 * float(values["camera_angle_x"]))
-    if "camera_angle_y" not in values:
-        return fx, fx
-    return fx, 0.5 * height / math.tan(0.5 * float(values["camera_angle_y"]))
 
 
 def _image(path: Path) -> Path:
@@ -167,20 +144,15 @@ def _image(path: Path) -> Path:
 def _depth(frame: dict[str, Any], file: Path, colour: Path, options: ConvertOptions) -> Path:
     if options.depth:
         return find_depth(Path(options.depth), colour.stem)
-    name = frame.get("depth_file_path", f"depth of {colour.name}, which the file does not name")
-    if not isinstance(name, str):
-        raise SequenceError(f"{file}: depth_file_path of {colour.name} must be the path of a file, got {shown(name)}")
-    return file.parent / name
+    return file.parent / frame.get("depth_file_path", f"depth of {colour.name}, which the file does not name")
 
 
 def _depth_scale(values: dict[str, Any], file: Path) -> float:
     key = next((k for k in ("integer_depth_scale", "depth_unit_scale_factor") if k in values), "depth_scale")
     unit = number(values, key, 1e-3, file)
-    if not 1e-9 < unit < 1e9:
-        raise SequenceError(f"{file}: {key} must be the metres of one stored unit, such as 0.001, got {unit:g}")
     return 1.0 / unit
 
 
 def _time(frame: dict[str, Any]) -> float | None:
     value = frame.get("timestamp", frame.get("time"))
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+    return None if value is None else float(value)

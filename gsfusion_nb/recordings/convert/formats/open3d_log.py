@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ....data.lens import CameraModel
-from ....data.recorded.files import images_in, natural_order, table
+from ....data.recorded.files import images_in, natural_order
 from ....data.sequence import SequenceError, SequenceNotFoundError
-from ....foreign import read_bytes, read_object, read_text
+from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
 from ..camera import intrinsics_of_json, model_of_object
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair
@@ -42,8 +42,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     pairs = _pairs(path, colour, depth)
     file = _trajectory(path)
     poses, model = ({}, None) if file is None else read_trajectory_file(file)
-    if file is not None:
-        poses = _of_images(file, poses, path, list(pairs))
+    if len(poses) == len(pairs) <= max(pairs) and max(poses) < len(pairs):  # one pose per image: counted alike
+        poses = dict(zip(pairs, poses.values(), strict=True))
+    beyond = [i for i in poses if i > max(pairs)]
+    if beyond:
+        raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {len(pairs)} images, from 0")
     intrinsics = next((path / n for n in _INTRINSICS if (path / n).is_file()), None)
     notes = []
     if intrinsics is not None and not options.intrinsics:
@@ -93,27 +96,6 @@ def _numbers(files: list[Path]) -> list[int] | None:
     return found if len(set(found)) == len(files) else None
 
 
-def _of_images(file: Path, poses: dict[int, Tensor], path: Path, numbers: list[int]) -> dict[int, Tensor]:
-    """The poses by the images' numbers.
-
-    Raises:
-        SequenceError: a pose of no image, or images are missing and it is not clear whose the poses are.
-    """
-    n, span = len(numbers), 1 + max(numbers)
-    if n == span or max(poses) >= n:  # no image is missing, or the log counts the missing ones
-        beyond = [i for i in poses if i >= span]
-        if beyond:
-            raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {n} images, from 0")
-        return poses
-    if len(poses) != n:
-        gap = next(i for i in range(span) if i not in set(numbers))
-        raise SequenceError(
-            f"{path} lacks the image after number {gap - 1} of the first, and {file} has {len(poses)} poses for {n} "
-            "images: expected one pose per image, or poses up to the last number"
-        )
-    return {number: poses[i] for i, number in enumerate(numbers) if i in poses}
-
-
 def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
     """Camera-to-world poses by frame number of a .log or PinholeCameraTrajectory .json, and the latter's camera."""
     if path.suffix.lower() == ".json":
@@ -121,39 +103,25 @@ def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], C
     lines = [line.split() for line in read_text(path, "Open3D's trajectory.log").splitlines() if line.strip()]
     if not lines or len(lines) % 5:
         raise SequenceError(
-            f"{path} has {len(lines)} lines; expected blocks of five, 'i i i+1' and four rows of a matrix; is the file"
-            " truncated?"
+            f"{path} has {len(lines)} lines; expected blocks of five, 'i i i+1' and four rows; is the file truncated?"
         )
     poses = {}
-    for at in range(0, len(lines), 5):
-        try:
-            frame = int(lines[at][0])
-            T = torch.tensor([[float(w) for w in row] for row in lines[at + 1 : at + 5]], dtype=torch.float64)
-        except (ValueError, IndexError):
-            T, frame = torch.zeros(0, 0), -1
-        if tuple(T.shape) != (4, 4) or frame < 0:
-            raise SequenceError(f"{path}: block {at // 5} must be 'i i i+1' and four rows of four numbers")
-        if frame in poses:
-            raise SequenceError(f"{path} has the pose of frame {frame} twice, again in block {at // 5}")
-        poses[frame] = T
+    with parsing(path, "blocks of 'i i i+1' and four rows of four numbers"):
+        for at in range(0, len(lines), 5):
+            rows = [[float(w) for w in row] for row in lines[at + 1 : at + 5]]
+            poses[int(lines[at][0])] = torch.tensor(rows, dtype=torch.float64).reshape(4, 4)
+    if len(poses) * 5 != len(lines):
+        raise SequenceError(f"{path} has the pose of a frame twice")
     return poses, None
 
 
 def _read_json(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
-    entries: Any = read_object(path, "an Open3D PinholeCameraTrajectory").get("parameters")
-    if not isinstance(entries, list) or not entries:
-        raise SequenceError(f"{path} lacks parameters; expected an Open3D PinholeCameraTrajectory")
-    poses = {}
-    for i, entry in enumerate(entries):
-        what = "an object with extrinsic, 16 numbers column by column"
-        values = table(entry.get("extrinsic") if isinstance(entry, dict) else None, f"{path}: parameters {i}", what)
-        if values.numel() != 16:
-            raise SequenceError(f"{path}: parameters {i} must be {what}")
-        poses[i] = se3.inverse(values.reshape(4, 4).T)
-    intrinsic = entries[0].get("intrinsic")
-    if intrinsic is not None and not isinstance(intrinsic, dict):
-        raise SequenceError(f"{path}: intrinsic must be an object with width, height and intrinsic_matrix")
-    return poses, None if intrinsic is None else model_of_object(intrinsic, None, str(path), centre=0.0)
+    with parsing(path, "an Open3D PinholeCameraTrajectory, extrinsics of 16 numbers column by column"):
+        entries: Any = read_object(path, "an Open3D PinholeCameraTrajectory")["parameters"]
+        extrinsics = torch.tensor([entry["extrinsic"] for entry in entries], dtype=torch.float64).reshape(-1, 4, 4)
+        poses = dict(enumerate(se3.inverse(extrinsics.mT)))
+        intrinsic = entries[0].get("intrinsic")
+        return poses, None if intrinsic is None else model_of_object(intrinsic, None, str(path), centre=0.0)
 
 
 def _trajectory(path: Path) -> Path | None:

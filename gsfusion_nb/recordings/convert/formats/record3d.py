@@ -1,4 +1,4 @@
-"""Record3D (iPhone, iPad): a .r3d archive, its unpacked folder, or the "EXR + JPG sequence" export.
+"""Record3D (iPhone, iPad): a .r3d archive, or its unpacked folder.
 
 .r3d is a zip with ``metadata`` (JSON) and rgbd/N.jpg, N.depth, N.conf; depth is float32 metres and confidence uint8,
 both packed with Apple's LZFSE and smaller than colour. Poses ``qx qy qz qw tx ty tz`` are camera-to-world with ARKit's
@@ -6,7 +6,6 @@ axes (OpenGL: y up, z backward). Intrinsics are column-major ``K``, or fx fy cx 
 the corner of the image.
 """
 
-import ctypes
 import re
 import struct
 import zipfile
@@ -21,12 +20,12 @@ from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import number, table
-from ....data.recorded.images import MAX_PIXELS, read_image_bytes
+from ....data.recorded.images import read_image_bytes
 from ....data.recorded.poses import GL_TO_CV, matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from ....foreign import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
+from ....files import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
 from ..camera import model_of
-from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, metres, with_colour
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, metres, with_colour
 
 _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
 """Heights and widths of LiDAR and TrueDepth images, for files without this information."""
@@ -36,10 +35,10 @@ Fetch = Callable[[str], bytes]
 
 
 def recognise(path: Path) -> bool:
-    """The archive, or a folder with metadata and rgbd/, or the export with EXR."""
+    """The archive, or a folder with metadata and rgbd/."""
     if path.is_file():
         return path.suffix.lower() == ".r3d"
-    return _metadata_file(path) is not None and any((path / n).is_dir() for n in ("rgbd", "rgb"))
+    return _metadata_file(path) is not None and (path / "rgbd").is_dir()
 
 
 def read(path: Path, options: ConvertOptions) -> Recording:
@@ -51,49 +50,39 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     else:
         file = _metadata_file(path)
         if file is None:
-            raise SequenceNotFoundError(f"{path} lacks metadata.json; expected an unpacked .r3d or the EXR export")
-        names = {str(p.relative_to(path)) for p in path.glob("rgb*/*")}
+            raise SequenceNotFoundError(f"{path} lacks metadata.json; expected an unpacked .r3d")
+        names = {str(p.relative_to(path)) for p in path.glob("rgbd/*")}
         fetch = partial(_file, path)
         metadata = _object(read_bytes(file, "Record3D's metadata"), str(file))
-    exported = not any(n.startswith("rgbd/") for n in names)
-    pattern = "rgb/" if exported else "rgbd/"
-    found = (re.fullmatch(pattern + r"(\d{1,9})\.jpg", n) for n in names)
+    found = (re.fullmatch(r"rgbd/(\d{1,9})\.jpg", n) for n in names)
     numbers = sorted({int(match[1]) for match in found if match})
     poses = _poses(metadata, 1 + max(numbers, default=-1), path)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for n in numbers:  # the place in the metadata's lists: a missing image must not shift them
-            name = f"{pattern}{n}"
-            if exported:
-                load = partial(load_pair, path / f"rgb/{n}.jpg", path / f"depth/{n}.exr", 1.0)
-            else:
-                load = partial(_load, fetch, name, metadata, options.confidence, f"{path}: {name}")
+            source = f"{path}: rgbd/{n}"
             yield RecordedFrame(
-                source=f"{path}: {name}",
+                source=source,
                 time_s=_time(metadata, n, path),
                 model=_model(metadata, n, path),
                 T_WC=None if poses is None else poses[n],
-                load=load,
+                load=partial(_load, fetch, f"rgbd/{n}", metadata, options.confidence, source),
             )
 
     if not numbers:
-        raise SequenceError(f"{path} holds no frames; expected {pattern}0.jpg and so on")
-    note = "confidence is not in this export" if exported else f"depth of confidence {options.confidence} and above"
+        raise SequenceError(f"{path} holds no frames; expected rgbd/0.jpg and so on")
     return Recording(
         name=str(path),
         frames=recorded_frames,
         n_frames=len(numbers),
         depth_scale=1.0,
         has_poses=poses is not None,
-        notes=(note,),
+        notes=(f"depth of confidence {options.confidence} and above",),
     )
 
 
-def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> bytes:
-    """Content of an LZFSE stream of at most ``at_most`` bytes; uncompressed blocks need no library.
-
-    The function ``decompress`` of pyliblzfse has no limit, so the decoder inside it is called. Only where it cannot be
-    reached, because the library exports no names (Windows), is there no limit.
+def lzfse_unpacked(data: bytes, source: str) -> bytes:
+    """Content of an LZFSE stream; uncompressed blocks need no library.
 
     Raises:
         SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError: it is damaged.
@@ -113,24 +102,12 @@ def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> b
         raise SequenceError(
             f"{source} is packed with Apple's LZFSE, which needs the package pyliblzfse: pip install pyliblzfse"
         ) from None
-    try:
-        decode = ctypes.CDLL(liblzfse.__file__).lzfse_decode_buffer
-    except (AttributeError, OSError):
-        with parsing(source, "an LZFSE stream", BadFrameError):
-            return liblzfse.decompress(data)
-    decode.restype = ctypes.c_size_t
-    content = np.empty(at_most + 1, np.uint8)  # takes no memory before it is written
-    room = content.ctypes.data_as(ctypes.c_void_p)
-    n = decode(room, ctypes.c_size_t(at_most + 1), data, ctypes.c_size_t(len(data)), None)
-    if not 0 < n <= at_most:
-        raise BadFrameError(f"{source} is damaged, or unpacks to more than {at_most} bytes; expected an LZFSE stream")
-    return content[:n].tobytes()
+    with parsing(source, "an LZFSE stream", BadFrameError):
+        return liblzfse.decompress(data)
 
 
 def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source: str) -> RgbdImages:
     packed = lzfse_unpacked(fetch(f"{name}.depth"), f"{source}.depth")
-    if len(packed) % 4:
-        raise BadFrameError(f"{source}.depth unpacks to {len(packed)} bytes; expected float32 numbers")
     values = np.frombuffer(packed, "<f4")
     depth_m = metres(values.reshape(_depth_size(metadata, len(values), f"{source}.depth")), 1.0)
     if least > 0:
@@ -160,34 +137,22 @@ def _poses(metadata: dict[str, Any], n: int, path: Path) -> Float[Tensor, "N 4 4
         return None
     poses = table(rows, f"{path}: poses of the metadata", "rows qx qy qz qw tx ty tz")
     if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < n:
-        raise SequenceError(
-            f"{path}: poses of the metadata are {list(poses.shape)}; expected {n} rows qx qy qz qw tx ty tz"
-        )
+        raise SequenceError(f"{path}: poses of the metadata must be {n} rows qx qy qz qw tx ty tz")
     return matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ GL_TO_CV
 
 
 def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:
-    try:
+    with parsing(path, "metadata with w, h and K of 9 numbers, column by column"):
         size = (int(metadata["w"]), int(metadata["h"]))
         frames = metadata.get("perFrameIntrinsicCoeffs") or []
         K = metadata["K"] if i >= len(frames) else None
-        values = [float(v) for v in (frames[i][:4] if K is None else (K[0], K[4], K[6], K[7]))]
-        fx, fy, cx, cy = values
-    except (KeyError, TypeError, IndexError, ValueError, OverflowError) as e:
-        raise SequenceError(
-            f"{path}: the metadata lack {str(e)[:80]}; expected w, h and K of 9 numbers, column by column"
-        ) from None
+        fx, fy, cx, cy = (float(v) for v in (frames[i][:4] if K is None else (K[0], K[4], K[6], K[7])))
     return model_of([fx, fy, cx, cy], size, f"{path}: the metadata", centre=0.5)
 
 
 def _time(metadata: dict[str, Any], i: int, path: Path) -> float:
     stamps = metadata.get("frameTimestamps") or []
-    if not isinstance(stamps, list) or not all(type(t) in (int, float) for t in stamps[i : i + 1]):
-        raise SequenceError(f"{path}: frameTimestamps of the metadata must be a list of seconds")
-    fps = number(metadata, "fps", 30, f"{path}: the metadata")
-    if not fps > 0:
-        raise SequenceError(f"{path}: fps of the metadata must be above 0, got {fps:g}")
-    return float(stamps[i]) if i < len(stamps) else i / fps
+    return float(stamps[i]) if i < len(stamps) else i / number(metadata, "fps", 30, f"{path}: the metadata")
 
 
 def _metadata_file(path: Path) -> Path | None:
@@ -195,10 +160,8 @@ def _metadata_file(path: Path) -> Path | None:
 
 
 def _object(data: bytes, source: str) -> dict[str, Any]:
-    try:
+    with parsing(source, "Record3D's metadata as JSON"):
         values = parse_json(data.decode("utf-8-sig"), source, "Record3D's metadata")
-    except UnicodeDecodeError:
-        raise SequenceError(f"{source} is not a text file; expected Record3D's metadata as JSON") from None
     if not isinstance(values, dict):
         raise SequenceError(f"{source} must hold a JSON object with w, h, K and poses")
     return values

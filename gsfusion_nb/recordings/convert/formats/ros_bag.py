@@ -5,12 +5,8 @@ depth image's time. Depth is 16UC1 in millimetres or 32FC1 in metres (REP 118), 
 frame has OpenCV axes (REP 103 "optical").
 """
 
-import bz2
-import contextlib
-import io
-import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,12 +17,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....checks import shown
 from ....data.lens import CameraModel
 from ....data.recorded.poses import interpolate_rows, matrices
 from ....data.recorded.times import associate
 from ....data.sequence import SequenceError, SequenceNotFoundError
-from ....errors import shown
-from ....foreign import open_regular, parsing
+from ....files import open_regular, parsing
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
 from ..trajectory import camera_in_body
@@ -87,7 +83,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             f"{path}: none of {len(bag.depth_s)} images of {bag.depth} has an image of {bag.colour} within "
             f"{MAX_TIME_DIFFERENCE_S} s; expected the header stamps of both cameras to come from one clock"
         )
-    model, depth_model, T_colour_depth, notes = _cameras(bag, options)
+    model, depth_model, T_colour_depth, notes = _cameras(bag)
     pose_at = _pose_lookup(bag, options, notes)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
@@ -138,7 +134,7 @@ def _opened(path: Path) -> Iterator[Any]:
     for file in [folder] if folder.is_file() else sorted(folder.iterdir()):
         open_regular(file, "a file of a ROS bag").close()
     what = "a ROS bag; if it is truncated or was not closed after recording, try 'rosbag reindex' or 'ros2 bag reindex'"
-    with parsing(path, what), bounded_unpacking(), AnyReader([BagPath(folder)], default_typestore=types) as reader:
+    with parsing(path, what), AnyReader([folder], default_typestore=types) as reader:
         yield reader
 
 
@@ -230,17 +226,10 @@ def _second_pass(bag: _Bag, pairs: list[tuple[int, int]]) -> Iterator[tuple[int,
 
 
 def _cameras(
-    bag: _Bag, options: ConvertOptions
+    bag: _Bag,
 ) -> tuple[CameraModel | None, CameraModel | None, Float[Tensor, "4 4"] | None, list[str]]:
     """Colour camera, depth camera if it is another one, the transform between them, and notes."""
     infos = {kind: _info_of(bag, topic) for kind, topic in (("colour", bag.colour), ("depth", bag.depth))}
-    if options.ros.camera_info_topic:
-        topic = options.ros.camera_info_topic
-        if topic not in bag.info:
-            raise SequenceError(
-                f"{bag.path} has no camera_info topic {shown(topic)}; it has {', '.join(sorted(bag.info))}"
-            )
-        infos["colour"] = bag.info[topic]
     model = None if infos["colour"] is None else _model(infos["colour"], bag.colour, bag.path)
     frames = [bag.frames.get(t, "") for t in (bag.colour, bag.depth)]
     registered = frames[0] == frames[1] or any(w in bag.depth for w in ("aligned", "registered"))
@@ -314,83 +303,3 @@ def _pose_lookup(bag: _Bag, options: ConvertOptions, notes: list[str]):
         return None if row is None else matrices(row[None])[0] @ T_BC
 
     return pose_at
-
-
-MAX_CHUNK_BYTES = 256_000_000
-"""Of one chunk unpacked; recorders begin a new one after 0.75 to 4 MB, or after one large message."""
-_LARGE_BYTES = 1 << 20
-
-
-class BagPath(type(Path())):
-    """A path whose file gives no more bytes than it has, also where a damaged bag asks for four gigabytes.
-
-    Python's own files first take the memory that is asked for, and then see how much there is.
-    """
-
-    def open(self, mode: str = "r", *args: Any, **options: Any) -> Any:
-        """Of a plain file only, if it is for reading bytes."""
-        if mode != "rb":
-            return super().open(mode, *args, **options)
-        return _BagFile(open_regular(self, "a file of a ROS bag").detach())
-
-
-class _BagFile(io.BufferedReader):
-    def read(self, size: int | None = -1, /) -> bytes:
-        if size is not None and size > _LARGE_BYTES:
-            size = max(0, min(size, os.fstat(self.fileno()).st_size - self.tell()))
-        return super().read(size)
-
-
-@contextlib.contextmanager
-def bounded_unpacking() -> Iterator[None]:
-    """Within the block no chunk of a bag unpacks to more than ``MAX_CHUNK_BYTES``.
-
-    rosbags 0.10 and 0.11 keep their unpackers in two dictionaries by name, and offer no limit.
-    """
-    from rosbags.rosbag1 import reader as rosbag1
-    from rosbags.rosbag2 import storage_mcap
-
-    before = [(d, dict(d)) for d in (_unpackers(rosbag1), _unpackers(storage_mcap))]
-    for unpackers, old in before:
-        unpackers |= {name: _bounded(name, old[name]) for name in old if name in _STREAMS}
-    try:
-        yield
-    finally:
-        for unpackers, old in before:
-            unpackers |= old
-
-
-def _unpackers(module: Any) -> dict[str, Callable[..., bytes]]:
-    """The module's dictionary of unpackers by name, whatever it is called."""
-    found = (v for v in vars(module).values() if isinstance(v, dict) and {"lz4"} <= set(v))
-    return next(found, {})
-
-
-def _bounded(name: str, unpack: Callable[..., bytes]) -> Callable[..., bytes]:
-    def bounded(data: bytes, *size: int) -> bytes:
-        content = _STREAMS[name]().decompress(bytes(data), MAX_CHUNK_BYTES + 1)
-        if len(content) > MAX_CHUNK_BYTES:
-            raise SequenceError(
-                f"a chunk of the bag unpacks to more than {MAX_CHUNK_BYTES / 1e6:g} MB; it may be a decompression bomb"
-            )
-        return content
-
-    return bounded
-
-
-def _lz4() -> Any:
-    from lz4.frame import LZ4FrameDecompressor
-
-    return LZ4FrameDecompressor()
-
-
-def _zstd() -> Any:
-    try:
-        from compression import zstd  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        from backports import zstd  # pyright: ignore[reportMissingImports]
-    return zstd.ZstdDecompressor()
-
-
-_STREAMS: dict[str, Callable[[], Any]] = {"bz2": bz2.BZ2Decompressor, "lz4": _lz4, "zstd": _zstd}
-"""Unpackers that can stop, by the name that a bag gives its packing."""

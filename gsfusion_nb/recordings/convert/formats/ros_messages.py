@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....checks import shown
 from ....data.recorded.images import decode_image, decode_rgb
 from ....data.recorded.poses import interpolate_rows, matrices
 from ....data.sequence import BadFrameError, SequenceError
-from ....errors import shown
 from ..recording import is_picture_file, metres
 
 _CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1}
@@ -159,20 +159,18 @@ class TransformTree:
         """Whether ``ancestor`` lies on the path from ``frame`` to the root."""
         return ancestor in self._chain(frame)
 
-    def moves(self, frame: str, ancestor: str) -> bool:
-        """Whether some transform between the two changes over time."""
-        chain = self._chain(frame)
-        return any(not self._edges[f].static for f in chain[: chain.index(ancestor)])
-
-    def lookup(self, frame: str, ancestor: str, time_s: float, max_gap_s: float) -> Float[Tensor, "4 4"] | None:
-        """Transform from ``frame`` to ``ancestor``; None where a moving one is unknown at that time. float64."""
+    def lookup(
+        self, frame: str, ancestor: str, time_s: float = 0.0, max_gap_s: float = 0.0, *, fixed: bool = False
+    ) -> Float[Tensor, "4 4"] | None:
+        """Transform from ``frame`` to ``ancestor``; None where a moving one is unknown at that time, or where only
+        ``fixed`` ones count. float64."""
         T = torch.eye(4, dtype=torch.float64)
         chain = self._chain(frame)
         for name in chain[: chain.index(ancestor)]:
             stamps, rows = self._rows(name)
             one = self._edges[name].static or len(rows) == 1
             row = rows[-1] if one else interpolate_rows(stamps, rows, time_s, max_gap_s=max_gap_s)
-            if row is None:
+            if row is None or (fixed and not self._edges[name].static):
                 return None
             T = matrices(row[None])[0] @ T
         return T
@@ -180,9 +178,9 @@ class TransformTree:
     def between(self, frame: str, other: str) -> Float[Tensor, "4 4"] | None:
         """Transform from ``frame`` to ``other`` through fixed transforms only, float64; or None."""
         common = next((f for f in self._chain(frame) if self.knows(other, f)), None)
-        if common is None or self.moves(frame, common) or self.moves(other, common):
+        if common is None:
             return None
-        up, down = (self.lookup(f, common, 0.0, 0.0) for f in (frame, other))
+        up, down = (self.lookup(f, common, fixed=True) for f in (frame, other))
         return None if up is None or down is None else torch.linalg.inv(down) @ up
 
     def _chain(self, frame: str) -> list[str]:

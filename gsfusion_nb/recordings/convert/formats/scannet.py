@@ -5,7 +5,6 @@ its own scale); depth images are smaller than colour and have their own intrinsi
 """
 
 import math
-import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,10 +19,10 @@ from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import images_in
-from ....data.recorded.images import read_image_bytes, read_rgb
+from ....data.recorded.images import read_rgb
 from ....data.recorded.poses import image_number
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from ....foreign import inflate, open_regular, read_exactly
+from ....files import inflate, open_regular, read_exactly
 from ....geometry import se3
 from ..camera import model_of_matrix
 from ..recording import (
@@ -31,10 +30,10 @@ from ..recording import (
     RecordedFrame,
     Recording,
     RgbdImages,
-    decode_depth,
     find_depth,
     load_pair,
     metres,
+    read_depth_file,
     with_colour,
 )
 from ..trajectory import read_numbers
@@ -56,7 +55,6 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     colour = images_in(root / "color")
     scale = options.depth_scale or 1000.0
     models = {kind: _model(root, kind, colour) for kind in ("color", "depth")}
-    T_colour_depth, T_rig_colour = registration(_extrinsic(root, "color"), _extrinsic(root, "depth"))
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for i, file in enumerate(colour):
@@ -67,8 +65,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                 time_s=(i if number is None else number) / FRAMES_PER_S,
                 model=models["color"],
                 depth_model=models["depth"],
-                T_colour_depth=T_colour_depth,
-                T_WC=_pose(root / "pose" / f"{file.stem}.txt") @ T_rig_colour,
+                T_WC=_pose(root / "pose" / f"{file.stem}.txt"),
                 load=partial(load_pair, file, depth, scale),
             )
 
@@ -91,33 +88,17 @@ def _root(path: Path) -> Path | None:
     return next((p for p in places if all((p / n).is_dir() for n in names)), None)
 
 
-def _file(root: Path, name: str) -> Path | None:
-    return next((p for p in (root / "intrinsic" / name, root / name) if p.is_file()), None)
-
-
 def _model(root: Path, kind: str, colour: list[Path]) -> CameraModel:
-    file = _file(root, f"intrinsic_{kind}.txt")
+    file = next((p for p in (root / "intrinsic", root) if (p / f"intrinsic_{kind}.txt").is_file()), None)
     if file is None:
         raise SequenceNotFoundError(f"{root} lacks intrinsic/intrinsic_{kind}.txt; expected a 4x4 matrix of the camera")
-    first = next((p for p in colour if kind == "color" or find_depth(root / "depth", p.stem).is_file()), None)
+    file = file / f"intrinsic_{kind}.txt"
+    depths = (find_depth(root / "depth", p.stem) for p in colour)
+    first = colour[0] if kind == "color" else next((p for p in depths if p.is_file()), None)
     if first is None:
         raise SequenceError(f"{root / 'depth'} holds no depth image of any colour image; expected the same names")
-    if kind == "color":
-        height, width = read_rgb(first).shape[:2]
-    else:
-        depth = find_depth(root / "depth", first.stem)
-        height, width = decode_depth(read_image_bytes(depth, "depth"), str(depth), 1000.0).shape
+    height, width = (read_rgb(first) if kind == "color" else read_depth_file(first, 1000.0)).shape[:2]
     return model_of_matrix(read_numbers(file, "a 4x4 matrix"), (width, height), str(file), centre=0.0)
-
-
-def _extrinsic(root: Path, kind: str) -> Float[Tensor, "4 4"]:
-    file = _file(root, f"extrinsic_{kind}.txt")
-    if file is None:
-        return torch.eye(4, dtype=torch.float64)
-    values = read_numbers(file, "a 4x4 matrix")
-    if len(values) != 16:
-        raise SequenceError(f"{file} must hold a 4x4 matrix, got {len(values)} numbers")
-    return torch.tensor(values, dtype=torch.float64).reshape(4, 4)
 
 
 def _pose(file: Path) -> Float[Tensor, "4 4"]:
@@ -216,9 +197,6 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     *sizes, units, n_frames = struct.unpack("<4IfQ", read_exactly(file, 28, path))
     if not 0 < units < math.inf:
         raise SequenceError(f"{path} says that one metre is {units} in depth; expected a number above 0")
-    room = os.fstat(file.fileno()).st_size - file.tell()
-    if n_frames * _FRAME.size > room:
-        raise SequenceError(f"{path} claims {n_frames} frames and has {room} bytes for them; download it again")
     extrinsic_colour, extrinsic_depth = (torch.tensor(matrices[i], dtype=torch.float64).reshape(4, 4) for i in (1, 3))
     return _Header(
         model_of_matrix(matrices[0], (sizes[0], sizes[1]), f"{path}: colour intrinsics", centre=0.0),

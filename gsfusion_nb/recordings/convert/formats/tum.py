@@ -12,19 +12,16 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from jaxtyping import Float
-from torch import Tensor
-
+from ....checks import shown
 from ....data.lens import CameraModel
 from ....data.readers.tum import LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
 from ....data.recorded.files import images_in, natural_order
 from ....data.recorded.images import read_rgb
-from ....data.recorded.poses import image_number, read_words
+from ....data.recorded.poses import read_words
 from ....data.recorded.times import Stamps, associate, judge_stamps, read_image_list
-from ....data.sequence import BadFrameError, SequenceError
-from ....errors import shown
+from ....data.sequence import SequenceError
 from ..camera import read_intrinsics
-from ..depth_unit import DepthUnit, find_depth_unit, fits_poses, some_depths
+from ..depth_unit import find_depth_unit, some_depths
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair
 from ..trajectory import Trajectory, read_trajectory
 
@@ -42,6 +39,7 @@ class TumFrames:
     no_times: str = ""
     """Why it has none."""
     dropped: dict[str, int] = field(default_factory=dict)
+    """Depth images left out, by reason."""
     notes: tuple[str, ...] = ()
 
 
@@ -78,13 +76,13 @@ def frames_of(path: Path) -> TumFrames:
     without = next((s for s in (depth, rgb) if s.stamps.times_s is None), None)
     if without is None:
         return _paired_by_time(path, rgb, depth)
-    pairs, how, dropped = _paired_by_name(path, rgb.files, depth.files)
-    why = f"the numbers of {without.source} are not times: {without.stamps.why_not}"
-    return TumFrames(pairs, None, why, dropped, (_told(why, how),))
+    return _without_times(_paired_by_name(path, rgb.files, depth.files), without.source, without.stamps)
 
 
-def _told(why: str, how: str) -> str:
-    return f"{why}; so frames are in {how}, and no times or frame rate are written"
+def _without_times(pairs: list[tuple[Path, Path]], source: str, stamps: Stamps) -> TumFrames:
+    why = f"the numbers of {source} are not times: {stamps.why_not}"
+    note = f"{why}; so frames are in the order of the list or folder, and no times or frame rate are written"
+    return TumFrames(pairs, None, why, notes=(note,))
 
 
 def _associated(file: Path) -> TumFrames:
@@ -102,8 +100,7 @@ def _associated(file: Path) -> TumFrames:
     stamps = judge_stamps([t for t, *_ in rows], names=[natural_order(depth) for *_, depth in rows])
     pairs = [(colour, depth) for _, colour, depth in rows]
     if stamps.times_s is None:
-        why = f"the numbers of {file} are not times: {stamps.why_not}"
-        return TumFrames(pairs, None, why, {}, (_told(why, "the order of the list"),))
+        return _without_times(pairs, str(file), stamps)
     order = sorted(range(len(rows)), key=stamps.times_s.__getitem__)
     notes = _notes(str(file), stamps)
     return TumFrames([pairs[i] for i in order], [stamps.times_s[i] for i in order], notes=notes)
@@ -134,25 +131,18 @@ def _paired_by_time(path: Path, rgb: _Stream, depth: _Stream) -> TumFrames:
     )
 
 
-def _paired_by_name(
-    path: Path, rgb: list[Path], depth: list[Path]
-) -> tuple[list[tuple[Path, Path]], str, dict[str, int]]:
-    """Pairs in the order of the depth images, how they were found, and the depth images without a colour image."""
-    for key, how in ((lambda p: p.stem, "names"), (image_number, "numbers in their names")):
-        colour_of = {key(p): p for p in rgb}
-        keys = [key(p) for p in depth]
-        if len(colour_of) == len(rgb) and len(set(keys)) == len(keys) and None not in (*colour_of, *keys):
-            pairs = [(colour_of[k], p) for k, p in zip(keys, depth, strict=True) if k in colour_of]
-            if pairs:
-                alone = len(depth) - len(pairs)
-                dropped = {"no colour image of its name": alone} if alone else {}
-                return pairs, f"the order of the list or folder, paired by the {how}", dropped
-    if len(rgb) == len(depth):
-        return list(zip(rgb, depth, strict=True)), "the order of the list or folder, paired one by one", {}
-    raise SequenceError(
-        f"{path} has {len(rgb)} colour and {len(depth)} depth images without times, and neither names nor numbers pair "
-        "them; expected associations.txt with lines 'time rgb time depth'"
-    )
+def _paired_by_name(path: Path, rgb: list[Path], depth: list[Path]) -> list[tuple[Path, Path]]:
+    """Pairs in the order of the depth images: of the same name, else one by one."""
+    colour_of = {p.stem: p for p in rgb}
+    pairs = [(colour_of[p.stem], p) for p in depth if p.stem in colour_of]
+    if pairs:
+        return pairs
+    if len(rgb) != len(depth):
+        raise SequenceError(
+            f"{path} has {len(rgb)} colour and {len(depth)} depth images without times, and their names do not pair "
+            "them; expected associations.txt with lines 'time rgb time depth'"
+        )
+    return list(zip(rgb, depth, strict=True))
 
 
 def _stream(path: Path, name: str) -> _Stream:
@@ -171,23 +161,12 @@ def _named_by_time(path: Path, name: str) -> _Stream:
         raise SequenceError(f"{path} has neither {name}.txt nor {name}/; expected one of them")
     files = images_in(folder, DEPTH_SUFFIXES if name == "depth" else (".jpg", ".jpeg", ".png"))
     try:
-        number_of = {p: _number(p) for p in files}
-    except ValueError as e:
-        return _Stream(str(folder), files, Stamps(None, f"{e} is no number"))
+        number_of = {p: float(p.stem) for p in files}
+    except ValueError:
+        return _Stream(str(folder), files, Stamps(None, "names are not numbers"))
     ordered = sorted(files, key=number_of.__getitem__)
     stamps = judge_stamps([number_of[p] for p in ordered])
     return _Stream(str(folder), files if stamps.times_s is None else ordered, stamps)
-
-
-def _number(image: Path) -> float:
-    """The number that is an image's name. Raises ``ValueError`` with the name."""
-    try:
-        value = float(image.stem)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(image.name)
-    return value
 
 
 _CALIBRATIONS = ("calibration.txt", "camera.txt", "calib.txt", "intrinsics.txt", "intrinsics.json", "camera.json")
@@ -203,14 +182,15 @@ def recognise(path: Path) -> bool:
 def read(path: Path, options: ConvertOptions) -> Recording:
     """A TUM-style folder (module docstring)."""
     found = frames_of(path)
-    model, notes = (None, []) if options.intrinsics else _model(path, found.pairs[0][0])
+    model, notes = _model(path, found.pairs[0][0], options)
     trajectory = _trajectory(path, found, options)
     notes = [*notes, *found.notes, *(trajectory.notes if trajectory else ())]
     times: list[float | None] = [*found.times_s] if found.times_s else [None] * len(found.pairs)
     poses = [None if trajectory is None or t is None else trajectory.pose_at(t) for t in times]
     scale = options.depth_scale
     if not scale:
-        unit = _depth_unit(path, found, poses, model or _given_model(options, found))
+        files = [depth for _, depth in found.pairs]
+        unit = find_depth_unit(path, some_depths(files))
         scale, notes = unit.scale, [*notes, unit.sentence]
 
     def recorded_frames() -> Iterator[RecordedFrame]:
@@ -243,31 +223,13 @@ def _trajectory(path: Path, frames: TumFrames, options: ConvertOptions) -> Traje
     return read_trajectory(file, time_unit=options.pose_time_unit, max_gap_s=options.max_gap_s)
 
 
-def _depth_unit(
-    path: Path, frames: TumFrames, poses: list[Float[Tensor, "4 4"] | None], model: CameraModel | None
-) -> DepthUnit:
-    """The unit of depth, from all evidence there is."""
-    files = [depth for _, depth in frames.pairs]
-    agreement = fits_poses(files, poses, model.camera) if model else {}
-    return find_depth_unit(path, some_depths(files), agreement)
-
-
-def _given_model(options: ConvertOptions, frames: TumFrames) -> CameraModel | None:
-    if not options.intrinsics:
-        return None
-    try:
-        height, width = read_rgb(frames.pairs[0][0]).shape[:2]
-    except BadFrameError:
-        return None
-    return read_intrinsics(options.intrinsics, (width, height), centre=options.pixel_centre)
-
-
-def _model(path: Path, image: Path) -> tuple[CameraModel | None, list[str]]:
-    """Camera of a calibration file or of the benchmark, if there is one, and a sentence that names it."""
-    file = next((path / n for n in _CALIBRATIONS if (path / n).is_file()), None)
-    if file is not None:
+def _model(path: Path, image: Path, options: ConvertOptions) -> tuple[CameraModel | None, list[str]]:
+    """Camera of the options, of a calibration file or of the benchmark, if any, and a sentence that names it."""
+    file = options.intrinsics or next((str(path / n) for n in _CALIBRATIONS if (path / n).is_file()), "")
+    if file:
         height, width = read_rgb(image).shape[:2]
-        return read_intrinsics(str(file), (width, height)), [f"intrinsics from {file}, pixel centres at integers"]
+        centre = options.pixel_centre if options.intrinsics else 0.0
+        return read_intrinsics(file, (width, height), centre=centre), [f"intrinsics from {file}"]
     known = benchmark_camera(path)
     if not known:
         return None, []

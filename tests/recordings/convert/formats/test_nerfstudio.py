@@ -88,8 +88,8 @@ def test_numpy_depth_and_its_unit(tmp_path, takes):
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"frames": []}, "frames"),
-        ({"frames": [{"file_path": "a.png"}]}, "frame 0"),
+        ({"frames": []}, "depth_file_path"),
+        ({"frames": [{"file_path": "a.png", "depth_file_path": "b.png"}]}, "transform_matrix"),
         ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
         ({"fl_x": None}, "fl_x"),
         ({"k4": 0.1}, "k4"),

@@ -1,4 +1,4 @@
-"""Record3D: .r3d archives, unpacked folders, the EXR export, LZFSE."""
+"""Record3D: .r3d archives, unpacked folders, LZFSE."""
 
 import json
 import struct
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import BadFrameError, SequenceError
+from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
 from gsfusion_nb.recordings.convert.formats.record3d import lzfse_unpacked
@@ -109,17 +109,6 @@ def test_focal_length_of_every_frame(tmp_path, takes):
     assert np.abs(sequence[3].depth_m.numpy() - takes.depth_m[3])[2:].max() < 6e-4
 
 
-def test_smaller_depth(tmp_path, takes):
-    files = members(takes, dw=30, dh=22)
-    for i in range(4):
-        small = np.ascontiguousarray(takes.depth_m[i][::2, ::2].astype("<f4"))
-        files[f"rgbd/{i}.depth"], files[f"rgbd/{i}.conf"] = stored(small.tobytes()), stored(b"\2" * small.size)
-    convert(write_r3d(tmp_path / "a.r3d", files), tmp_path / "out")
-    frame = folder(tmp_path / "out")[1]
-    assert np.abs(frame.depth_m.numpy()[::2, ::2] - takes.depth_m[1][::2, ::2]).max() < 6e-4
-    assert torch.equal(frame.depth_m[::2, ::2], frame.depth_m[1::2, 1::2])
-
-
 def test_lzfse_with_the_library(tmp_path, takes):
     liblzfse = pytest.importorskip("liblzfse")
     data = takes.depth_m[0].astype("<f4").tobytes()
@@ -128,25 +117,16 @@ def test_lzfse_with_the_library(tmp_path, takes):
     check(tmp_path / "out", takes, [(0, 0), (1, 1)])
 
 
-def test_lzfse_that_holds_more_than_is_expected_is_refused():
-    liblzfse = pytest.importorskip("liblzfse")
-    packed = liblzfse.compress(bytes(5_000))
-    assert lzfse_unpacked(packed, "x", 5_000) == bytes(5_000)
-    for data, at_most in ((packed, 4_999), (packed[:-8], 5_000)):
-        with pytest.raises(BadFrameError, match="x is damaged, or unpacks to more"):
-            lzfse_unpacked(data, "x", at_most)
-
-
 def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     path = write_r3d(tmp_path / "a.r3d", members(takes))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(SequenceError, match=r"a\.r3d"):
-        convert(path, tmp_path / "out")
-    with pytest.raises(SequenceError, match=r"metadata lack 'w'"):
-        convert(write_r3d(tmp_path / "c.r3d", members(takes, w=None)), tmp_path / "out")
-    with pytest.raises(SequenceError, match="poses of the metadata"):
-        convert(write_r3d(tmp_path / "d.r3d", members(takes, poses=[[0, 0, 0, 1, 0, 0, 0]])), tmp_path / "out")
+    for source in (
+        path,
+        write_r3d(tmp_path / "c.r3d", members(takes, w=None)),
+        write_r3d(tmp_path / "d.r3d", members(takes, poses=[[0, 0, 0, 1, 0, 0, 0]])),
+    ):
+        with pytest.raises(SequenceError, match=source.name):
+            convert(source, tmp_path / "out")
     files = members(takes) | {"rgbd/2.depth": b"garbage"}
     report = convert(write_r3d(tmp_path / "e.r3d", files), tmp_path / "out")
     assert report.dropped == {"image missing or damaged": 1}
-    assert "2.depth" in report.examples[0]

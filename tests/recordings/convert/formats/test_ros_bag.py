@@ -18,7 +18,7 @@ from gsfusion_nb.types import Camera
 
 pytest.importorskip("rosbags")
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -34,8 +34,6 @@ class Bag:
     version: int
     storage: StoragePlugin | None = None
     bag_format: Literal[8, 9] = 9
-    packed: bool = False
-    """Each file as a whole, with zstd."""
 
     def __enter__(self):
         self.store = get_typestore(Stores.ROS1_NOETIC if self.version == 1 else Stores.ROS2_HUMBLE)
@@ -47,8 +45,6 @@ class Bag:
             if self.version == 1
             else Writer2(self.path, version=self.bag_format, storage_plugin=plugin)
         )
-        if self.packed:
-            self.writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)  # pyright: ignore[reportCallIssue]
         self.writer.open()
         self.connections = {}
         return self
@@ -149,9 +145,8 @@ def write_bag(
     big=False,
     storage=None,
     bag_format: Literal[8, 9] = 9,
-    packed=False,
 ):
-    with Bag(path, version, storage, bag_format, packed) as bag:
+    with Bag(path, version, storage, bag_format) as bag:
         if poses == "tf":
             write_tf(bag, takes)
         for i, t in enumerate(takes.times_s):
@@ -162,15 +157,10 @@ def write_bag(
                 bag.pose("/slam/pose", t, takes.T_WC[i])
             if colour == "png":
                 bag.compressed("/camera/color/image_raw/compressed", t + 0.004, "camera_optical", "png", takes.png(i))
-            elif colour == "jpeg":
-                data, format = takes.jpeg(i), "rgb8; jpeg compressed bgr8"
-                bag.compressed("/camera/color/image_raw/compressed", t + 0.004, "camera_optical", format, data)
             else:
                 pixels = {"rgb8": rgb, "bgr8": rgb[..., ::-1]}.get(colour)
                 if colour == "bgra8":
                     pixels = np.concatenate([rgb[..., ::-1], np.full_like(rgb[..., :1], 7)], -1)
-                if colour == "mono8":
-                    pixels = rgb[..., :1]
                 pixels = rgb if pixels is None else pixels
                 bag.image("/camera/color/image_raw", t + 0.004, "camera_optical", colour, pixels, pad=pad)
     return path
@@ -226,11 +216,6 @@ def test_ros2_bag_that_does_not_say_what_its_types_are(tmp_path, takes):
     path = write_bag(tmp_path / "scan", takes, 2, bag_format=8)
     convert(path, tmp_path / "out")
     takes.check(tmp_path / "out", pose=2e-6)
-
-
-def test_jpeg_is_copied(tmp_path, takes):
-    convert(write_bag(tmp_path / "scan.bag", takes, 1, colour="jpeg"), tmp_path / "out")
-    assert (tmp_path / "out/rgb/000002.jpg").read_bytes() == takes.jpeg(2)
 
 
 def test_padded_rows_and_byte_order(tmp_path, takes):
@@ -303,17 +288,3 @@ def test_damaged_bags_and_clocks_that_differ_are_named(tmp_path, takes):
             put_depth(bag, late, i, "16UC1", 0, False)
     with pytest.raises(SequenceError, match=r"none of 4 images"):
         convert(tmp_path / "d.bag", tmp_path / "out")
-
-
-def test_without_the_library(tmp_path, takes, monkeypatch):
-    import sys
-
-    path = write_bag(tmp_path / "a.bag", takes, 1)
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(SequenceError, match=r"needs the package rosbags: pip install 'gsfusion-nb\[ros\]'"):
-        convert(path, tmp_path / "out")
-
-
-def test_files_that_are_packed_as_a_whole(tmp_path, takes):
-    convert(write_bag(tmp_path / "scan", takes, 2, packed=True), tmp_path / "out")
-    takes.check(tmp_path / "out")

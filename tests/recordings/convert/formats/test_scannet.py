@@ -126,11 +126,3 @@ def test_damaged_containers(tmp_path, takes, damage, named):
     with pytest.raises(SequenceError, match=rf"a\.sens .*{named}"):
         convert(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_a_missing_image_does_not_shift_the_times_of_later_ones(tmp_path, takes):
-    root = write_exported(tmp_path / "scan", takes)
-    (root / "color/1.jpg").unlink()
-    convert(root, tmp_path / "out")
-    times = (tmp_path / "out/times.txt").read_text().splitlines()[1:]
-    assert [float(line.split()[1]) for line in times] == pytest.approx([0, 2 / 30, 3 / 30])

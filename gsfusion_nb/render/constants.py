@@ -37,25 +37,8 @@ DISC_MAX_OFFSET = 1.0
 lies off the disc (released code of Peng et al. 2024; not in the paper)."""
 
 TILE_PX = 8
-"""Edge of a screen tile, pixels. The picture does not depend on it. For the torch backend 8 is fastest: 16 evaluates
-twice as many (pixel, Gaussian) pairs, 4 makes 2.5 times as many list entries."""
+"""Edge of a screen tile of the reference, pixels. The picture does not depend on it: 16 evaluates twice as many (pixel,
+Gaussian) pairs, 4 makes 2.5 times as many list entries."""
 
 SHOWN_ALPHA = 0.5
 """The map shows a pixel if its accumulated opacity is at least this."""
-
-GROWTH = {"cpu": 2.0, "cuda": 1.25}
-"""A map that is full grows by this factor. Untouched memory is free on a CPU; on a GPU it is taken from the rest."""
-
-BLOCK_VOXELS = 8
-"""Edge of a voxel block, voxels (Supereight2; GSFusion section III-A)."""
-
-VOXELS_PER_BLOCK = BLOCK_VOXELS**3
-
-SH_C0 = 0.28209479177387814
-"""Spherical-harmonic basis function of degree 0, 1 / (2 sqrt(pi))."""
-
-LUMA_WEIGHTS = (0.2989, 0.5870, 0.1140)
-"""Weights of R, G, B in the quadtree's contrast (ITU-R BT.601 as the released code rounds them)."""
-
-QUADTREE_NORMALISER = 9e7
-"""The released code multiplies a cell's variance by (image pixels) / 9e7 before the threshold test."""

@@ -4,11 +4,11 @@ import math
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from .checks import check_finite, check_shape
-from .types import Camera, Frame, GaussianParams
+from ..checks import check_finite, check_shape
+from ..types import Camera, Frame, GaussianParams
 
 FLOATS = (torch.float32, torch.float64)
 INTEGERS = (torch.int64, torch.int32)
@@ -46,13 +46,6 @@ def check_operand(
         raise ValueError(
             f"{name} must be on {device}, got a tensor on {value.device}; move it with .to({str(device)!r})"
         )
-
-
-def check_written(**outputs: Tensor) -> None:
-    """Raise ``ValueError`` for a tensor that an operation writes to and whose elements share memory."""
-    for name, value in outputs.items():
-        if not value.is_contiguous() and 0 in value.stride() and value.numel() > 1:
-            raise ValueError(f"{name} is written to and must not be an expanded view, got strides {value.stride()}")
 
 
 def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
@@ -135,45 +128,27 @@ CENTRE_SIDES = (-1.0, 2.0)
 """Place of the principal point in units of the image's side; 0 and 1 are the image's edges."""
 MAX_DISTANCE_M = 10_000.0
 """Distance of anything from the origin, metres: farther out float32 cannot hold a millimetre."""
-FAR_DEPTH_M = 30.0
-"""A frame whose median depth is beyond this is doubtful: depth cameras measure up to 10 m."""
 DEPTH_SCALE = (1.0, 1_000_000.0)
 """Stored depth value of one metre: from metres to micrometres."""
 
-LATEST_S = 1e11
-"""Time of a frame, seconds; the seconds since 1970 are 1.8e9."""
 LEAST_SIDE_PX = 2
 """Side of an image, pixels: gradients and the points between pixels need neighbours."""
-FARTHEST = 1e7
-"""Distance and size of a Gaussian of another program, in its units: farther out float32 cannot hold one of them."""
 
 
 def check_plausible_camera(source: str, camera: Camera) -> None:
     """Raise ``ValueError`` for an impossible camera; the sentence begins with ``source``."""
-    if min(camera.width, camera.height) < LEAST_SIDE_PX:
-        raise ValueError(
-            f"{source}: images must have at least {LEAST_SIDE_PX} x {LEAST_SIDE_PX} pixels, got {camera.width} x "
-            f"{camera.height}"
-        )
-    for axis, focal, centre, side in (
-        ("x", camera.fx, camera.cx, camera.width),
-        ("y", camera.fy, camera.cy, camera.height),
+    c, (near, far), (first, last) = camera, FOCAL_PER_SIDE, CENTRE_SIDES
+    for name, value, low, high in (
+        ("the image's smaller side", min(c.width, c.height), LEAST_SIDE_PX, math.inf),
+        ("fx", c.fx, near * c.width, far * c.width),
+        ("fy", c.fy, near * c.height, far * c.height),
+        ("cx", c.cx, first * c.width, last * c.width),
+        ("cy", c.cy, first * c.height, last * c.height),
+        ("fx / fy", c.fx / c.fy, 1 / PIXEL_ASPECT, PIXEL_ASPECT),
     ):
-        low, high = (limit * side for limit in FOCAL_PER_SIDE)
-        if not low <= focal <= high:
-            raise ValueError(
-                f"{source}: f{axis} must be between {low:g} and {high:g} pixels for {side} pixels, got {focal:g}"
-            )
-        first, last = (limit * side for limit in CENTRE_SIDES)
-        if not first <= centre <= last:
-            raise ValueError(
-                f"{source}: c{axis} must be between {first:g} and {last:g} pixels for {side} pixels, got {centre:g}"
-            )
-    if not 1 / PIXEL_ASPECT <= camera.fx / camera.fy <= PIXEL_ASPECT:
-        raise ValueError(
-            f"{source}: fx and fy must not differ by more than a factor of {PIXEL_ASPECT:g}, got {camera.fx:g} and "
-            f"{camera.fy:g}"
-        )
+        if not low <= value <= high:
+            size = f"{c.width} x {c.height} pixels"
+            raise ValueError(f"{source}: {name} must be between {low:g} and {high:g} for {size}, got {value:g}")
 
 
 def check_place(source: str, T_WC: Float[Tensor, "4 4"]) -> None:
@@ -195,8 +170,3 @@ def check_depth_scale(source: str, scale: float) -> None:
             f"{source}: the depth scale, the stored value of one metre, must be between {low:g} and {high:g}, got "
             f"{scale:g}{inverse}"
         )
-
-
-def is_near(xyz_W: Float[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
-    """Which points are within the limit of distance; False for NaN. [N]"""
-    return (xyz_W.abs() <= MAX_DISTANCE_M).all(dim=-1)
