@@ -5,6 +5,8 @@ OpenCV is imported on first use."""
 import functools
 import io
 import logging
+import re
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,8 @@ log = logging.getLogger(__name__)
 
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
+_EXR_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
+"""Left, top, right and bottom pixel of a part of an OpenEXR file, all inside ("OpenEXR File Layout")."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -104,12 +108,7 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
 
     if _is_cut(data):
         raise BadFrameError(f"{source} is truncated; expected a whole {kind} image, but its end mark is missing")
-    size = image_size(data)
-    if size is None or size[0] * size[1] > MAX_PIXELS:
-        raise BadFrameError(
-            f"{source} cannot be decoded: it is truncated, damaged or not an image, or claims far too many pixels; "
-            f"expected a {kind} image of at most 40 million, as PNG, JPEG, TIFF, PNM or BMP"
-        )
+    check_image_size(data, source, kind)
     try:
         with parsing(source, f"a {kind} image", BadFrameError):
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -120,6 +119,19 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
             f"{source} cannot be decoded: it is truncated, damaged or not an image; expected a {kind} image"
         )
     return image
+
+
+def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
+    """Raise ``BadFrameError`` before an image is decoded that is of no known kind or claims too many pixels."""
+    size = image_size(data)
+    if size is None:
+        raise BadFrameError(
+            f"{source} cannot be decoded: it is truncated, damaged or not an image, or claims far too many pixels; "
+            f"expected a {kind} image, as PNG, JPEG, TIFF, PNM or BMP"
+        )
+    width, height = size
+    if width * height > MAX_PIXELS:
+        raise BadFrameError(f"{source} claims {width}x{height} pixels; expected a {kind} image of at most 40 million")
 
 
 def _is_cut(data: bytes) -> bool:
@@ -154,7 +166,11 @@ def is_to_be_turned(data: bytes) -> bool:
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header of a PNG, JPEG, TIFF, PNM or BMP file claims; None for other data."""
+    """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP or OpenEXR file claims; None for other data."""
+    if data[:4] == b"v/1\x01":
+        windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(data[: 1 << 20])]
+        sizes = [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
+        return max(sizes, key=lambda size: size[0] * size[1], default=None)
     from PIL import Image
 
     try:
