@@ -84,7 +84,7 @@ def expect(error, pattern, act):
 @pytest.mark.parametrize(
     ("key", "value"),
     [("fz", 1.0), ("fx", None), ("fx", "525"), ("fx", 0), ("depth_scale", -1000), ("pixel_centre", 0.25),
-     ("depth_invalid", 70000), ("fps", 0), ("pose_convention", "world-to-camera")],
+     ("depth_invalid", 70000), ("fps", 0), ("fps", 1e-320), ("pose_convention", "world-to-camera")],
 )  # fmt: skip
 def test_bad_intrinsics(tmp_path, box, key, value):
     root = box.folder(tmp_path, **{key: value})
