@@ -232,7 +232,7 @@ def as_latex(table: ResultTable) -> str:
         rows.append(" & ".join([row.label.translate(_TEX), *cells]) + r" \\")
     return "\n".join([
         r"\begin{table}[htbp]\centering\small",
-        rf"\caption{{{'. '.join((table.title, *table.notes)).translate(_TEX)}.}}",
+        rf"\caption{{{'. '.join(s[:1].upper() + s[1:] for s in (table.title, *table.notes)).translate(_TEX)}.}}",
         r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
         rf"\begin{{tabular}}{{l{'r' * len(table.columns)}}}\toprule",
         " & ".join(head.translate(_TEX) for head in heads) + r" \\ \midrule",
