@@ -144,5 +144,5 @@ def test_who_gives_a_bag_to_map_is_sent_to_convert(tmp_path):
 
 
 def test_an_option_that_the_reader_lacks_is_named():
-    with pytest.raises(ValueError, match="noize.*noise"):
+    with pytest.raises(ValueError, match=r"noize.*noise"):
         open_sequence("room", noize="kinect")
