@@ -157,12 +157,6 @@ class ViewRound:
         """Leave out all views, because their poses have changed."""
         self.window, self.recalled = [], []
 
-    def snapshot(self) -> "ViewRound":
-        """The same views and turns."""
-        copy = ViewRound(self.config)
-        copy.window, copy.recalled, copy._turns = self.window, self.recalled, list(self._turns)
-        return copy
-
     def constant_tensors(self) -> list[Tensor]:
         """Those in ``state_dict``: none of them changes."""
         views = [*self.window, *self.recalled]
