@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from ....data.lens import CameraModel
-from ....data.recorded.files import number, table
+from ....data.recorded.files import number
 from ....data.recorded.images import read_image_bytes
 from ....data.recorded.poses import GL_TO_CV, matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
@@ -142,7 +143,8 @@ def _poses(metadata: dict[str, Any], n: int, path: Path) -> Float[Tensor, "N 4 4
     rows = metadata.get("poses")
     if not rows:
         return None
-    poses = table(rows, f"{path}: poses of the metadata", "rows qx qy qz qw tx ty tz")
+    with parsing(f"{path}: poses of the metadata", "rows qx qy qz qw tx ty tz"):
+        poses = torch.tensor(rows, dtype=torch.float64)
     if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < n:
         raise SequenceError(f"{path}: poses of the metadata must be {n} rows qx qy qz qw tx ty tz")
     return matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ GL_TO_CV
