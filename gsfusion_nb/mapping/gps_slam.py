@@ -194,8 +194,7 @@ class GPSSLAM(TsdfMapping):
             views.add_frame(now)
         if not self.config.schedule.spread and views.steps_in(self.n_frames):
             views.look_again(self._look)
-        n, n_new = views.recalls_in(self.n_frames), views.new_in(self.n_frames)
-        views.recall(self.keyframes, self._look, self.random.keyframes, n, n_new)
+        views.recall(self.keyframes, self._look, self.random.keyframes, self.n_frames)
 
     def _prune(self) -> None:
         """Remove Gaussians that have become too small, too large or transparent; a NaN counts as such."""

@@ -96,13 +96,15 @@ class ViewRound:
         self.window = [*self.window, view][-WINDOW:]
 
     def recall(
-        self, keyframes: KeyframeList, look: Callable[[Keyframe], BasedView], generator: Any, n: int, n_new: int
+        self, keyframes: KeyframeList, look: Callable[[Keyframe], BasedView], generator: Any, n_frames: int
     ) -> None:
-        """Look at ``n`` keyframes, of which up to ``n_new`` were never looked at, the newest but one; others at random.
+        """Look at the keyframes that are due in the frame before which ``n_frames`` were mapped: the newest but one, if
+        it was never looked at and that is due, and others at random.
 
         The newest is not looked at: the surface is one frame older than it, so half of its picture may be missing.
         """
-        new = [keyframes[len(keyframes) - 2]] if n_new and len(keyframes) > 1 else []
+        n, n_new = self._share(self.config.recalled, n_frames), self._share(self.config.recalled_new, n_frames)
+        new = [keyframes[len(keyframes) - 2]] if min(n, n_new) and len(keyframes) > 1 else []
         looked_at = max((view.keyframe.index for view in self.recalled), default=-1)
         new = [keyframe for keyframe in new if keyframe.index > looked_at][: self.config.keyframes]
         for keyframe in [*new, *keyframes.draw(min(n, self.config.keyframes) - len(new), generator)]:
@@ -112,14 +114,6 @@ class ViewRound:
     def look_again(self, look: Callable[[Keyframe], BasedView]) -> None:
         """Look at the frames of the window again."""
         self.window = [look(view.keyframe) for view in self.window]
-
-    def recalls_in(self, n_frames: int) -> int:
-        """Keyframes to look at in the frame before which ``n_frames`` were mapped."""
-        return self._share(self.config.recalled, n_frames)
-
-    def new_in(self, n_frames: int) -> int:
-        """How many of these were never looked at before, if there are such."""
-        return min(self._share(self.config.recalled_new, n_frames), self.recalls_in(n_frames))
 
     def steps_in(self, n_frames: int) -> int:
         """Gradient steps in the frame before which ``n_frames`` were mapped; fewer where other work is done."""
