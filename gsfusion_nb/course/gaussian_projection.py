@@ -7,7 +7,7 @@ from ..geometry import quaternion, se3
 from ..render.constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ..render.project import Projection, ProjectionGradient
 from ..types import Camera, GaussianParams
-from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
 
 Ellipse = tuple[Tensor, Tensor, Tensor]
 
@@ -223,7 +223,7 @@ def _as_project_gaussians_vjp(
 
 
 @exercise(
-    chapter=5, difficulty=5, minutes=40, solution=_project_vjp, ready_made=AUTOGRAD,
+    chapter=5, difficulty=5, minutes=40, solution=_project_vjp,
     becomes=Becomes("project_gaussians_vjp", _as_project_gaussians_vjp),
     hints=(
         "Compute J, B = W R S, M = J B and Q forwards first, as in chapter 4. Then go through the table backwards.",

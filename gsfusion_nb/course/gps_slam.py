@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 F64 = torch.float64
 
@@ -227,7 +227,7 @@ def _as_blend_with_base_vjp(yours: Yours, w: Tensor, c: Tensor, C: Tensor, b: Te
 
 
 @exercise(
-    chapter=12, difficulty=3, minutes=15, solution=_blend_over_vjp, ready_made=AUTOGRAD,
+    chapter=12, difficulty=3, minutes=15, solution=_blend_over_vjp,
     becomes=Becomes("blend_with_base_vjp", _as_blend_with_base_vjp),
     hints=(
         "C = S / (1 + W) with S = C_s + sum of w_i c_i. Write q = dL/dS = v_C / (1 + W): the rest is short.",

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ..render.composite import blend_weights
 from ..render.constants import ALPHA_MAX
-from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
 from .gradient_check import central_difference
 
 Loss = Callable[[Tensor], Tensor]
@@ -38,7 +38,7 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=1, minutes=5, solution=_slope, ready_made=AUTOGRAD,
+    chapter=5, difficulty=1, minutes=5, solution=_slope,
     hints=(
         "For each i: move x[i] up by h, then down by h, and compare the two losses.",
         "Divide by 2h, the distance between the two points.",
@@ -92,7 +92,7 @@ def _as_l1_vjp(yours: Yours, rgb: Tensor, target: Tensor, v_loss: float = 1.0) -
 
 
 @exercise(
-    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient, ready_made=AUTOGRAD,
+    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient,
     becomes=Becomes("l1_vjp", _as_l1_vjp),
     hints=(
         "The derivative of |x| is its sign.",
@@ -149,7 +149,7 @@ def _wrong_sign(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp, ready_made=AUTOGRAD,
+    chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp,
     hints=(
         "v_xyz = J^T v_uv with the J of chapter 4: three numbers.",
         "x moves only u, y only v, but z moves both.",
@@ -199,7 +199,7 @@ def _one_side(Q: Tensor, v_Q: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp, ready_made=AUTOGRAD,
+    chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp,
     hints=(
         "Start from Q cov = I and move cov a little: dQ cov + Q dcov = 0.",
         "So dQ = -Q dcov Q. For 1 x 1 matrices that is d(1/s) = -ds / s^2.",
@@ -274,7 +274,7 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
 
 
 @exercise(
-    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp, ready_made=AUTOGRAD,
+    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp,
     becomes=Becomes("blend_vjp", _as_blend_vjp),
     hints=(
         "C = sum_k w_k c_k is linear in the colours: dL/dc_k = w_k v_C, with w_k = alpha_k T_k.",

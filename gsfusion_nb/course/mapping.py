@@ -8,7 +8,7 @@ from ..mapping import GSFusion
 from ..optim import Keyframe
 from ..tsdf import integrate
 from ..types import Camera, Frame
-from .exercise import LIBRARY_LIMIT_S, Attempt, Becomes, Failed, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Failed, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _frame_rate(seconds: list[float]) -> float:
@@ -256,7 +256,7 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
 
 
 @exercise(
-    chapter=6, difficulty=4, minutes=20, solution=_map_frame, limit_s=LIBRARY_LIMIT_S,
+    chapter=6, difficulty=4, minutes=20, solution=_map_frame,
     hints=(
         "Four parts in this order: integrate(mapper.volume, frame); seeds = mapper.propose_seeds("
         "mapper.seed_context(frame)); mapper.gaussians.append(seeds, frame.index); optimise(frame).",

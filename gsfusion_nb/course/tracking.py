@@ -5,7 +5,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import tracking
 from ..geometry import se3
 from ..tracking.icp import IcpSystem, Step
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
@@ -39,7 +38,6 @@ def _as_point_to_plane(yours: Yours, p: Tensor, q: Tensor, n: Tensor) -> tuple[T
 @exercise(
     chapter=8, difficulty=3, minutes=12, solution=_residual_and_jacobian,
     becomes=Becomes("point_to_plane", _as_point_to_plane),
-    ready_made=(tracking.point_to_plane,),
     hints=(
         "The residual is a signed number: how far p is from the plane through q, along n.",
         "A small motion moves p by rho + omega x p. The dot product of this with n is n.rho + n.(omega x p).",

@@ -248,7 +248,7 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=2, difficulty=3, minutes=15, solution=_morton, ready_made=(octree.encode,),
+    chapter=2, difficulty=3, minutes=15, solution=_morton,
     becomes=Becomes("interleave", _as_interleave),
     hints=(
         "Bit i of x is (x >> i) & 1. Where must it go?",
