@@ -79,10 +79,6 @@ def _not_a_mean(rgb: Tensor, target: Tensor) -> Tensor:
     return torch.sign(rgb - target)
 
 
-def _per_pixel(rgb: Tensor, target: Tensor) -> Tensor:
-    return torch.sign(rgb - target) / (rgb.shape[0] * rgb.shape[1])
-
-
 def _uphill(rgb: Tensor, target: Tensor) -> Tensor:
     return torch.sign(target - rgb) / rgb.numel()
 
@@ -101,7 +97,6 @@ def _as_l1_vjp(yours: Yours, rgb: Tensor, target: Tensor, v_loss: float = 1.0) -
     wrong=(
         Wrong(_uphill, says="too bright means a positive gradient"),
         Wrong(_not_a_mean, says="the loss is a mean"),
-        Wrong(_per_pixel, says="the loss is a mean"),
     ),
 )  # fmt: skip
 def l1_gradient(attempt: Attempt) -> None:
@@ -143,11 +138,6 @@ def _forwards(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
     return torch.stack([z / fx * v_u, z / fy * v_v, -(fx * x * v_u + fy * y * v_v) / z**2])
 
 
-def _wrong_sign(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
-    v = _pinhole_vjp(xyz_C, fx, fy, v_uv)
-    return torch.stack([v[0], v[1], -v[2]])
-
-
 @exercise(
     chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp,
     hints=(
@@ -158,7 +148,6 @@ def _wrong_sign(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
     wrong=(
         Wrong(_forwards, says="x moves u by fx / z"),
         Wrong(_depth_ignored, says="moving away moves u and v towards the middle: -fx x / z^2"),
-        Wrong(_wrong_sign, says="moving away moves u and v towards the middle: -fx x / z^2"),
     ),
 )  # fmt: skip
 def pinhole_vjp(attempt: Attempt) -> None:
@@ -194,10 +183,6 @@ def _element_by_element(Q: Tensor, v_Q: Tensor) -> Tensor:
     return -Q * v_Q * Q
 
 
-def _one_side(Q: Tensor, v_Q: Tensor) -> Tensor:
-    return -Q @ v_Q
-
-
 @exercise(
     chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp,
     hints=(
@@ -207,7 +192,6 @@ def _one_side(Q: Tensor, v_Q: Tensor) -> Tensor:
     ),
     wrong=(
         Wrong(_plus, says="a wider Gaussian has a smaller conic"),
-        Wrong(_one_side, says="a wider Gaussian has a smaller conic"),
         Wrong(_element_by_element, says="the matrix acts from both sides"),
     ),
 )  # fmt: skip
@@ -247,12 +231,6 @@ def _shadow_forgotten(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Ten
     return T * (rgb @ v_colour), (alpha * T)[:, None] * v_colour
 
 
-def _shadow_not_divided(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
-    T = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha[:-1]).cumprod(0)])
-    w, c_dot_v = alpha * T, rgb @ v_colour
-    return T * c_dot_v - ((w * c_dot_v).flip(0).cumsum(0).flip(0) - w * c_dot_v), w[:, None] * v_colour
-
-
 def _alpha_for_weight(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
     return _blend_vjp(alpha, rgb, v_colour)[0], alpha[:, None] * v_colour
 
@@ -284,7 +262,6 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
     ),
     wrong=(
         Wrong(_shadow_forgotten, says="what stands behind gets darker: -S / (1 - alpha)"),
-        Wrong(_shadow_not_divided, says="what stands behind gets darker: -S / (1 - alpha)"),
         Wrong(_alpha_for_weight, says="a colour counts with its weight"),
     ),
 )  # fmt: skip

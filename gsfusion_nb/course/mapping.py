@@ -19,10 +19,6 @@ def _mean_of_rates(seconds: list[float]) -> float:
     return sum(1 / s for s in seconds) / len(seconds)
 
 
-def _rate_of_the_last(seconds: list[float]) -> float:
-    return 1 / seconds[-1]
-
-
 @exercise(
     chapter=6, difficulty=1, minutes=4, solution=_frame_rate,
     hints=(
@@ -31,7 +27,6 @@ def _rate_of_the_last(seconds: list[float]) -> float:
     ),
     wrong=(
         Wrong(_mean_of_rates, says="frames divided by the time they took"),
-        Wrong(_rate_of_the_last, says="frames divided by the time they took"),
     ),
 )  # fmt: skip
 def frame_rate(attempt: Attempt) -> None:

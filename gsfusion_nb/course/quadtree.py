@@ -100,10 +100,6 @@ def _split_all_floor(x0: int, y0: int, width: int, height: int) -> list[Cell]:
     return [(x0 + i * w, y0 + j * h, w, h) for i in (0, 1) for j in (0, 1)]
 
 
-def _split_at_the_origin(x0: int, y0: int, width: int, height: int) -> list[Cell]:
-    return cut(0, 0, width, height)
-
-
 def _as_cut(yours: Yours, x0: int, y0: int, width: int, height: int) -> list[Cell]:
     parts = yours(x0, y0, width, height, gives={"the four parts": torch.zeros(4, 4, dtype=torch.int64)})
     return [(x, y, w, h) for x, y, w, h in parts.tolist()]
@@ -117,7 +113,6 @@ def _as_cut(yours: Yours, x0: int, y0: int, width: int, height: int) -> list[Cel
     ),
     wrong=(
         Wrong(_split_all_floor, says="every pixel"),
-        Wrong(_split_at_the_origin, says="every pixel"),
     ),
 )  # fmt: skip
 def split_cell(attempt: Attempt) -> None:

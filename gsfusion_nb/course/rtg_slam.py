@@ -295,10 +295,6 @@ def _swapped(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tenso
     return _fuse(after, before, eta_before, eta_after)
 
 
-def _half_half(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
-    return (before + after) / 2
-
-
 def _sum_of_counts(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
     w = eta_after / (eta_before + eta_after).clamp_min(1)
     return before + w[:, None] * (after - before)
@@ -337,7 +333,6 @@ def _as_fuse(
     ),
     wrong=(
         Wrong(_swapped, says="a new Gaussian takes the values from the window"),
-        Wrong(_half_half, says="a new Gaussian takes the values from the window"),
         Wrong(_sum_of_counts, says="the newer values are weighted by their share of the steps"),
         Wrong(_unguarded, says="a Gaussian never seen does not change"),
     ),
