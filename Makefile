@@ -98,7 +98,7 @@ slides: setup
 	$(BIN)/python tools/slides.py docs/teaching/slides notebooks runs/slides
 
 # The notebooks and the documentation as a web site in runs/book: docs/book.md. Needs the network only when the extra
-# "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to Binder and Colab.
+# "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to source files.
 REPOSITORY ?=
 book: setup
 	@PYTHONPATH=tools $(BIN)/python -m book --installed || $(BIN)/python -m pip install --quiet --editable ".[book]"

@@ -243,7 +243,7 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
     _, w = blend_weights(alpha)
     v_alpha, v_c, rgb = torch.zeros_like(alpha), torch.zeros_like(c), c[:, :3]
     rows = {p: (w[:, p] > 0).nonzero()[:, 0] for p in v_C.any(1).nonzero()[:, 0].tolist()}
-    calls = [(alpha[k, p], rgb[k], v_C[p, :3].clone()) for p, k in rows.items()]
+    calls = [(alpha[k, p], rgb[k], v_C[p, :3]) for p, k in rows.items()]
     gives = [{"v_alpha": a, "v_rgb": each} for a, each, _ in calls]
     for (p, k), (v_a, v_rgb) in zip(rows.items(), yours.many(calls, gives), strict=True):
         v_alpha[k, p] = v_a

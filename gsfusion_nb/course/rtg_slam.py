@@ -43,7 +43,7 @@ def _as_disc_hit(yours: Yours, r: Tensor, p: Tensor, n: Tensor, min_cosine: floa
     """Yours for each ray, with the limit of the exercise; the reference for other limits."""
     if min_cosine != MIN_COSINE:
         return NotImplemented
-    rays = list(zip(*(rows.clone().unbind() for rows in (r, p, n)), strict=True))
+    rays = list(zip(r, p, n, strict=True))
     depths = yours.many(rays, [{"the depth": p.new_zeros(())}] * len(rays))
     return torch.stack(depths) if depths else p[:, 2].clone()
 
