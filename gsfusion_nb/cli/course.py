@@ -42,14 +42,11 @@ class ExportOptions:
     """Numbers of chapters. Default: all."""
     notebooks: Path = Path("notebooks")
     """Folder of the solved chapters."""
-    points: Path | None = None
-    """TOML file with points: [difficulty] 1 = 2.0, or [exercise] psnr = 4."""
 
 
 def export(arguments: list[str]) -> int:
     """The command ``gsfusion-nb course export``."""
     from ..course.grading.export import export_course
-    from ..course.grading.marks import Points, read_points
 
     options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
     found = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
@@ -57,8 +54,7 @@ def export(arguments: list[str]) -> int:
     missing = set(options.chapters) - {int(p.name[:2]) for p in chosen}
     if missing or not chosen:
         raise ValueError(f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}")
-    points = read_points(options.points) if options.points else Points()
-    for path in export_course(chosen, options.out, points=points):
+    for path in export_course(chosen, options.out):
         print(f"wrote {path}")
     return 0
 

@@ -46,8 +46,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from markupsafe import Markup
-
 from ..backends import use_backend
 from .attempt import Attempt as Attempt
 from .attempt import Failed as Failed
@@ -67,24 +65,9 @@ _EXERCISES: dict[str, "Exercise"] = {}
 
 
 class Said(str):
-    """A sentence, which a notebook shows without quotation marks."""
+    """A text, which a notebook shows without quotation marks."""
 
     __repr__ = str.__str__
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Source code of a solution, as a notebook shows it."""
-
-    exercise: str
-    source: str
-
-    def __repr__(self) -> str:
-        return self.source
-
-    def _repr_html_(self) -> str:
-        block = "<details class='gsnb-solution' open><summary>A solution of {}</summary><pre>{}</pre></details>"
-        return Markup(block).format(self.exercise, self.source)
 
 
 def source_of(exercise: str, function: Callable[..., Any], without: Callable[..., Any] | None = None) -> str:
@@ -185,7 +168,7 @@ class Exercise:
             note("exercises", self.name, hints=self.hints_given)
         return Said(f"Hint {wanted} of {len(self.hints)}: {self.hints[wanted - 1]}")
 
-    def solution(self) -> Solution | Said:
+    def solution(self) -> Said:
         """Source code of a solution; before the first try, a sentence that says what to do."""
         noted: dict[str, Any] = {}
         with forgiving():
@@ -199,7 +182,7 @@ class Exercise:
         if "solution_shown" not in noted:  # the first time counts
             with forgiving():
                 note("exercises", self.name, solution_shown=now())
-        return Solution(self.name, source_of(self.name, self._solution))
+        return Said(source_of(self.name, self._solution))
 
     def working(self, function: Any, *, plain: bool = False) -> Callable[..., Any]:
         """``function`` if it passes, otherwise the reference's, so that the chapter can go on; one sentence says whose.

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb.course.grading.export import assignment_cells, export_course
-from gsfusion_nb.course.grading.marks import Points
 
 ROOT = Path(__file__).resolve().parents[2]
 SUBMISSIONS = Path(__file__).parent / "submissions"
@@ -32,7 +31,7 @@ def exported(tmp_path: Path) -> Path:
     notebook["cells"] = [c for c in notebook["cells"] if of_both.search("".join(c["source"]))]
     chapter = tmp_path / f"{CHAPTER}.ipynb"
     chapter.write_text(json.dumps(notebook))
-    export_course([chapter], target, points=Points())
+    export_course([chapter], target)
     return target
 
 
@@ -95,7 +94,7 @@ def test_every_chapter_can_be_exported():
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
         cells = json.loads(path.read_text())["cells"]
         checks = sum("".join(c["source"]).strip().startswith("check.") for c in cells if c["cell_type"] == "code")
-        made = assignment_cells(cells, Points())
+        made = assignment_cells(cells)
         tests = [c for c in made if re.match(r"assert check\.", "".join(c["source"]))]
         answers = [c for c in made if "BEGIN SOLUTION" in "".join(c["source"]) and c["cell_type"] == "code"]
         assert 3 <= len(tests) <= checks, path.name

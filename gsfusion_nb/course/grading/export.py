@@ -12,7 +12,7 @@ from typing import Any
 from ...files import read_object, write_file
 from ..copies import without_solutions
 from ..exercise import exercises
-from .marks import Points
+from .marks import BY_DIFFICULTY
 
 _BEGIN, _END = "### BEGIN SOLUTION", "### END SOLUTION"
 _CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$")
@@ -29,13 +29,12 @@ c.Execute.timeout = 600  # seconds, of a cell
 '''
 
 
-def export_course(notebooks: list[Path], target: Path, *, points: Points) -> list[Path]:
+def export_course(notebooks: list[Path], target: Path) -> list[Path]:
     """Write a course folder of nbgrader, with ``source`` and ``nbgrader_config.py``. Returns the files written.
 
     Args:
         notebooks: The solved chapters.
         target: New or empty folder.
-        points: The most points of each exercise.
 
     Raises:
         ValueError: no notebook, a folder that is not empty, or a notebook without exercises.
@@ -47,7 +46,7 @@ def export_course(notebooks: list[Path], target: Path, *, points: Points) -> lis
     written = []
     for path in notebooks:
         notebook = _without_told_solutions(read_object(path, "a notebook"))
-        cells = assignment_cells(notebook["cells"], points)
+        cells = assignment_cells(notebook["cells"])
         if len(cells) == 0 or not any(_named(cell) for cell in notebook["cells"]):
             raise ValueError(f"{path} has no exercise")
         exported = {**notebook, "cells": [{"id": f"export-{i}", **cell} for i, cell in enumerate(cells)]}
@@ -58,7 +57,7 @@ def export_course(notebooks: list[Path], target: Path, *, points: Points) -> lis
     return written
 
 
-def assignment_cells(cells: list[dict[str, Any]], points: Points) -> list[dict[str, Any]]:
+def assignment_cells(cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The cells of a solved chapter with the solutions, tests and points marked as nbgrader wants them."""
     made: list[dict[str, Any]] = []
     for cell in copy.deepcopy(cells):
@@ -71,7 +70,7 @@ def assignment_cells(cells: list[dict[str, Any]], points: Points) -> list[dict[s
         elif name is None:
             made.append(cell)
         else:
-            made.append(_nbgrader_test(made, cell, name, points))
+            made.append(_nbgrader_test(made, cell, name))
     return made
 
 
@@ -99,13 +98,13 @@ def _join_to_stub(made: list[dict[str, Any]], solution: str) -> None:
     raise ValueError(f"there is no cell in which the solution {defined[1] if defined else ''} is to be written")
 
 
-def _nbgrader_test(made: list[dict[str, Any]], cell: dict[str, Any], name: str, points: Points) -> dict[str, Any]:
+def _nbgrader_test(made: list[dict[str, Any]], cell: dict[str, Any], name: str) -> dict[str, Any]:
     """The cell with the tests of an exercise; marks the cell of its answer."""
     common = {"schema_version": 3, "task": False}
     answer = {"grade": False, "grade_id": f"answer-{name}", "locked": False, "solution": True}
     (*_, stub) = (c for c in made if c["cell_type"] == "code" and f"def {name}(" in "".join(c["source"]))
     stub["metadata"]["nbgrader"] = answer | common
-    most = points.of(exercises()[name])
+    most = BY_DIFFICULTY[exercises()[name].difficulty]
     test = {"grade": True, "grade_id": f"test-{name}", "locked": True, "solution": False, "points": most}
     cell["metadata"]["nbgrader"] = test | common
     cell["source"] = f"assert check.{name}({name}), check.{name}({name})"
