@@ -28,17 +28,7 @@ class Becomes:
 
 
 class LearnerError(RuntimeError):
-    """A learner's function failed inside the library; the message names its cell and line and what went in.
-
-    Args:
-        message: The sentence.
-        exercise: Name of the exercise.
-        where: Cell (or file) and line.
-    """
-
-    def __init__(self, message: str, exercise: str = "", where: str = ""):
-        super().__init__(message)
-        self.exercise, self.where = exercise, where
+    """A learner's function failed inside the library; the message names its cell and line and what went in."""
 
 
 class Yours:
@@ -119,7 +109,7 @@ class Yours:
             names = list(inspect.signature(self.function).parameters)
             names += [f"argument {i + 1}" for i in range(len(names), len(args))]
             message += ", with " + "; ".join(f"{n} = {_short(v)}" for n, v in zip(names, args, strict=False))
-        raise LearnerError(message, self.exercise, where) from cause
+        raise LearnerError(message) from cause
 
 
 def _kind(tensor: Tensor) -> str:
