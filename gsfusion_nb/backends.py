@@ -216,6 +216,11 @@ def use_backend(backend: str) -> Iterator[None]:
         _choice.reset(token)
 
 
+def runs_learners_code() -> bool:
+    """Whether the backend is ``mine``, where any operation may fail because of a learner's function."""
+    return chosen() == MINE
+
+
 def look_again() -> None:
     """Forget what was found out about backends, because files, packages or the environment have changed (tests)."""
     for cached in (offered, load, automatic, _problem):

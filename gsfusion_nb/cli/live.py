@@ -41,6 +41,10 @@ class LiveOptions(SettingsOptions):
     """End after this many frames; 0: continue until the source ends or Ctrl-C."""
     evaluate: bool = True
     """Score the frames that were kept and write the report."""
+    checkpoint_every_s: float = 30.0
+    """Save the state of the scan this often, seconds, so that the map is kept if the process is killed; less often if
+    saving takes more than 3 % of the time. 0: never."""
+
     rerun: str = ""
     """Also write a file for the Rerun viewer, FILE.rrd: frames, poses, the growing maps, scores (the extra "rerun").
     It takes time between two frames."""
@@ -114,7 +118,7 @@ def live(arguments: list[str]) -> "FinishedRun":
     check_name("live source", name, SOURCES)
     options: LiveOptions = parse(SOURCES[name], f"gsfusion-nb live {name}", arguments[1:])
     from ..mapping import make_mapper
-    from ..runs import map_stream
+    from ..runs import CheckpointEvery, map_stream
 
     with use_backend(options.backend):
         options.check_device()
@@ -127,6 +131,7 @@ def live(arguments: list[str]) -> "FinishedRun":
             folder=options.out or None,
             evaluate=options.evaluate,
             on_stop="finish",
+            checkpoints=CheckpointEvery(seconds=options.checkpoint_every_s),
         )
 
 

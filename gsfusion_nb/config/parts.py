@@ -242,6 +242,10 @@ class DataConfig(Settings, group="data"):
     scored_views: int = within(250, 0)
     """At most this many mapped views are scored, evenly spread; all held-out views are. 0 scores every mapped view, as
     the papers do; larger: more exact means, longer scoring. Usual: 100 to 500."""
+    align_held_out: bool = False
+    """Score the held-out views again, each at the pose that fits its picture best, and once more with its brightness
+    and white balance fitted, too: how good the map is where the data's poses are some millimetres off and the camera
+    changed its exposure. All numbers are given. On: scoring takes longer, up to 20 pictures a view."""
     repair: RepairConfig = field(default_factory=RepairConfig)
     """Corrections of a recording that differs from what its layout says."""
 

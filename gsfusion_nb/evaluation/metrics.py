@@ -96,6 +96,8 @@ _DRIFT = "Between the last estimated and the last true camera centre; the first 
 _DEGENERATE = "A direction of motion could not be measured and was taken from the prediction."
 METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Novel views (held out)": _image_metrics("held_out"),
+    "Novel views, each pose fitted to the map": _image_metrics("held_out_aligned"),
+    "Novel views, pose and exposure fitted to the map": _image_metrics("held_out_fitted"),
     "Novel views, each with pose and exposure of the views before and after it": _image_metrics("held_out_between"),
     "Mapped views": _image_metrics("mapped"),
     "Before the global optimisation": ONLINE,

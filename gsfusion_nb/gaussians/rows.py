@@ -138,8 +138,16 @@ class GrowingRows:
         self._count = kept
 
     def snapshot(self) -> dict[str, Tensor]:
-        """A copy of the rows."""
+        """A copy of the rows, for ``restore``."""
         return {name: column.clone() for name, column in self.columns.items()}
+
+    def restore(self, snapshot: dict[str, Tensor]) -> None:
+        """Go back to the rows of a ``snapshot``."""
+        for name in set(self._columns) - set(snapshot):
+            del self._columns[name]
+        self._count = len(next(iter(snapshot.values())))
+        for name, column in snapshot.items():
+            self._columns[name][: self._count] = column
 
     def _optional(self, prefix: str) -> dict[str, Tensor]:
         columns = self._columns.items()

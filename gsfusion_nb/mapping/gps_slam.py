@@ -1,6 +1,6 @@
 """GPS-SLAM (Peng et al. 2025): a coloured TSDF, and Gaussians for what its colours cannot show, frame by frame."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,7 +11,7 @@ from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelity
 from ..export.tsdf_file import as_stored, write_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import se3
-from ..optim import Keyframe, adam_step, l1_mse_vjp, l2_mse_vjp
+from ..optim import Keyframe, adam_step, fit_pose_by_flow, l1_mse_vjp, l2_mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext
 from ..tracking import Correction
@@ -42,6 +42,7 @@ class GPSSLAM(TsdfMapping):
     fidelities = ("measured", "paper", "code")
     fidelity_of = staticmethod(gps_slam_fidelity)
     panels = ("input", "render", "error", "base", "residual", "new_gaussians")
+    memory_savers = ("a larger views.every_frames", "larger voxels (tsdf.voxel_size_m)")
     needs_volume_to_render: ClassVar = True
 
     config: GpsSlamConfig
@@ -64,8 +65,8 @@ class GPSSLAM(TsdfMapping):
     def map_frame(self, frame: Frame) -> StepReport:
         """Propose seeds where the surface's picture is wrong, append, optimise views of the round, fuse.
 
-        The frame is fused last: what the rule and the optimisation see of the surface is without it. The first frame is
-        therefore only fused, unless the rule needs no surface.
+        The frame is fused last, because that cannot be undone; what the rule and the optimisation see of the surface is
+        without it. The first frame is therefore only fused, unless the rule needs no surface.
         """
         schedule, is_keyframe = self.config.schedule, self.is_next_keyframe(frame)
         seeds_now, in_window = self.rule_is_due(is_keyframe), self.n_frames % schedule.window_every == 0
@@ -77,20 +78,20 @@ class GPSSLAM(TsdfMapping):
             below, preview = None if now is None else now.below, FusedView(self.volume, frame, missing)
             context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m, below=below)
             seeds = self.propose_seeds(context)
-        self.guard.changes_begin()
-        if seeds_now and schedule.spread:
-            self._prune()
-        if seeds_now and self.config.residual.restart_adam:
-            self._restart_adam()
-        self.gaussians.append(seeds, frame.index)
-        if is_keyframe:
-            self.keyframes.append(frame, with_depth=self.training.loss is not None)
-        with self.clock("base"):
-            self._renew_views(now, in_window=in_window)
-        with self.clock("optimise"):
-            steps = self._optimise(context)
-        if steps and not schedule.spread:
-            self._prune()
+        with self.changes(undoable=self.views.steps_in(self.n_frames) > 0):
+            if seeds_now and schedule.spread:
+                self._prune()
+            if seeds_now and self.config.residual.restart_adam:
+                self._restart_adam()
+            self.gaussians.append(seeds, frame.index)
+            if is_keyframe:
+                self.keyframes.append(frame, with_depth=self.training.loss is not None)
+            with self.clock("base"):
+                self._renew_views(now, in_window=in_window)
+            with self.clock("optimise"):
+                steps = self._optimise(context)
+            if steps and not schedule.spread:
+                self._prune()
         with self.clock("tsdf"):
             self.volume.allocate_missing(missing)
             fuse_frame_(self.volume, frame)
@@ -134,6 +135,11 @@ class GPSSLAM(TsdfMapping):
         """The map of a finished run, drawn from its folder."""
         return OverSurface.of_folder(folder, params, config).render
 
+    @classmethod
+    def aligned_pose(cls, draw: Draw, params: GaussianParams, frame: Frame) -> Float[Tensor, "4 4"]:
+        """The pose at which the whole picture fits the frame best; the surface moves in it, too."""
+        return fit_pose_by_flow(draw, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC).T_WC
+
     def standard_gaussians(self) -> GaussianParams:
         """The Gaussians in front of the surface, then the surface as discs.
 
@@ -173,6 +179,15 @@ class GPSSLAM(TsdfMapping):
         super()._load(state)
         self.views.load_state_dict(state["views"], self.config.base, self.device)
 
+    def _undo(self) -> Callable[[], None]:
+        undo, views = super()._undo(), self.views.snapshot()
+
+        def undo_all() -> None:
+            undo()
+            self.views = views.snapshot()
+
+        return undo_all
+
     def _follow(self, correction: Correction | None) -> None:
         """After a loop closure the views are at other poses, and the surface is another one."""
         super()._follow(correction)
@@ -194,7 +209,8 @@ class GPSSLAM(TsdfMapping):
             views.add_frame(now)
         if not self.config.schedule.spread and views.steps_in(self.n_frames):
             views.look_again(self._look)
-        views.recall(self.keyframes, self._look, self.random.keyframes, self.n_frames)
+        n, n_new = views.recalls_in(self.n_frames), views.new_in(self.n_frames)
+        views.recall(self.keyframes, self._look, self.random.keyframes, n, n_new)
 
     def _prune(self) -> None:
         """Remove Gaussians that have become too small, too large or transparent; a NaN counts as such."""
@@ -233,6 +249,7 @@ class GPSSLAM(TsdfMapping):
 
     def _optimise_view(self, view: BasedView) -> ViewStep:
         """One gradient step on one view. Returns loss and MSE before it; the surface is held fixed."""
+        self.guard.may_stop()
         keyframe, below, params = view.keyframe, view.below, self.gaussians.params
         camera, T_WC, target = keyframe.camera, keyframe.T_WC, keyframe.rgb
         watched = self.after_steps.watch(self.gaussians, keyframe)

@@ -96,15 +96,13 @@ class ViewRound:
         self.window = [*self.window, view][-WINDOW:]
 
     def recall(
-        self, keyframes: KeyframeList, look: Callable[[Keyframe], BasedView], generator: Any, n_frames: int
+        self, keyframes: KeyframeList, look: Callable[[Keyframe], BasedView], generator: Any, n: int, n_new: int
     ) -> None:
-        """Look at the keyframes that are due in the frame before which ``n_frames`` were mapped: the newest but one, if
-        it was never looked at and that is due, and others at random.
+        """Look at ``n`` keyframes, of which up to ``n_new`` were never looked at, the newest but one; others at random.
 
         The newest is not looked at: the surface is one frame older than it, so half of its picture may be missing.
         """
-        n, n_new = self._share(self.config.recalled, n_frames), self._share(self.config.recalled_new, n_frames)
-        new = [keyframes[len(keyframes) - 2]] if min(n, n_new) and len(keyframes) > 1 else []
+        new = [keyframes[len(keyframes) - 2]] if n_new and len(keyframes) > 1 else []
         looked_at = max((view.keyframe.index for view in self.recalled), default=-1)
         new = [keyframe for keyframe in new if keyframe.index > looked_at][: self.config.keyframes]
         for keyframe in [*new, *keyframes.draw(min(n, self.config.keyframes) - len(new), generator)]:
@@ -114,6 +112,14 @@ class ViewRound:
     def look_again(self, look: Callable[[Keyframe], BasedView]) -> None:
         """Look at the frames of the window again."""
         self.window = [look(view.keyframe) for view in self.window]
+
+    def recalls_in(self, n_frames: int) -> int:
+        """Keyframes to look at in the frame before which ``n_frames`` were mapped."""
+        return self._share(self.config.recalled, n_frames)
+
+    def new_in(self, n_frames: int) -> int:
+        """How many of these were never looked at before, if there are such."""
+        return min(self._share(self.config.recalled_new, n_frames), self.recalls_in(n_frames))
 
     def steps_in(self, n_frames: int) -> int:
         """Gradient steps in the frame before which ``n_frames`` were mapped; fewer where other work is done."""
@@ -150,6 +156,12 @@ class ViewRound:
     def forget(self) -> None:
         """Leave out all views, because their poses have changed."""
         self.window, self.recalled = [], []
+
+    def snapshot(self) -> "ViewRound":
+        """The same views and turns."""
+        copy = ViewRound(self.config)
+        copy.window, copy.recalled, copy._turns = self.window, self.recalled, list(self._turns)
+        return copy
 
     def constant_tensors(self) -> list[Tensor]:
         """Those in ``state_dict``: none of them changes."""

@@ -40,6 +40,7 @@ class GSFusion(TsdfMapping):
     fidelities = ("measured", "paper", "code")
     fidelity_of = staticmethod(gsfusion_fidelity)
     panels = ("input", "render", "error", "quadtree_seeds")
+    memory_savers = ("a larger seeding.quadtree_threshold", "larger voxels (tsdf.voxel_size_m)")
 
     config: GSFusionConfig
     gaussians: GaussianModel
@@ -59,9 +60,9 @@ class GSFusion(TsdfMapping):
     def map_frame(self, frame: Frame) -> StepReport:
         """Fuse, propose seeds, append, optimise (paper Fig. 2, section III-B).
 
-        In the paper the frame is fused before the seeding rule runs. Here it is fused last, because the rule may fail.
-        The rule sees a preview of the fused volume (``FusedView``), with the same values, and the optimisation does not
-        read the volume, so the maps are those of the paper's order.
+        In the paper the frame is fused before the seeding rule runs. Here the frame is fused last, because that cannot
+        be undone. The rule sees a preview of the fused volume (``FusedView``), with the same values, and the
+        optimisation does not read the volume, so the maps are those of the paper's order.
         """
         with self.clock("tsdf"):
             missing = self._make_room(frame)  # III-B.1, the blocks
@@ -69,13 +70,13 @@ class GSFusion(TsdfMapping):
             preview = FusedView(self.volume, frame, missing)
             context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
             seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
-        self.guard.changes_begin()
-        self.gaussians.append(seeds, frame.index)
-        is_keyframe, n_steps, n_revisits = self._plan(frame, len(seeds))  # III-B.3
-        if is_keyframe or self.config.keep_all_frames:
-            self.keyframes.append(frame, with_depth=self._keeps_depth)
-        with self.clock("optimise"):
-            steps = self._optimise_online(context, n_steps, n_revisits)  # Eq. 12
+        with self.changes():
+            self.gaussians.append(seeds, frame.index)
+            is_keyframe, n_steps, n_revisits = self._plan(frame, len(seeds))  # III-B.3
+            if is_keyframe or self.config.keep_all_frames:
+                self.keyframes.append(frame, with_depth=self._keeps_depth)
+            with self.clock("optimise"):
+                steps = self._optimise_online(context, n_steps, n_revisits)  # Eq. 12
         with self.clock("tsdf"):
             self.volume.allocate_missing(missing)
             fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
@@ -142,6 +143,7 @@ class GSFusion(TsdfMapping):
         With ``fits`` the view is a keyframe whose pose and exposure are fitted, too, where the settings say so. Both
         results stay on the device, because waiting for them after every step would leave a GPU idle.
         """
+        self.guard.may_stop()
         view, optim = view.to(self.device), self.config.optim
         fit = self.fits if fits else None
         keyframe: Any = view  # where poses and exposures are fitted

@@ -16,9 +16,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..backends import runs_learners_code
+from ..checks import shown
 from ..config import SystemConfig, from_dict, to_dict
 from ..gaussians import GaussianModel
-from ..optim import KeyframeList, UpdateFunction
+from ..optim import KeyframeList, UpdateFunction, fit_pose
 from ..render import render
 from ..seeding import (
     Cells,
@@ -26,15 +28,16 @@ from ..seeding import (
     SeedingRule,
     apply_rule,
     copy_memory,
+    move_memory,
     rule_name,
 )
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .localiser import Localiser, move_map
-from .rule import AfterSteps, RuleInUse, rule_of_run, settings_with_rule
+from .rule import AfterSteps, RuleInUse, check_known, settings_of_run, settings_with_rule
 from .step import FrameGuard, GlobalStep, StageClock, StepReport, check_frame, psnr_from_mse
-from .training import KeyframePasses, LossFunction, RandomStreams, Training
+from .training import KeyframePasses, LossFunction, RandomStreams, Training, given_functions
 
 Draw = Callable[[Camera, Tensor], RenderOutput]
 """Renders a map for a camera and its camera-to-world pose."""
@@ -95,6 +98,8 @@ class Mapper(ABC):
     needs_volume_to_render: ClassVar[bool] = False
     """Whether the picture needs more than the Gaussians: then ``gaussians.ply`` alone does not show the map, and the
     methods from ``write_besides`` to ``standard_from`` are overridden."""
+    memory_savers: ClassVar[tuple[str, ...]] = ()
+    """Settings, besides smaller images, that reduce the memory of the map; named in the message when memory is full."""
 
     config: Any
     """The settings, a ``config_type``."""
@@ -152,8 +157,7 @@ class Mapper(ABC):
                 voxel index. The map is unchanged.
             MemoryError: no room for new voxel blocks. The map is unchanged.
             RuntimeError: another thread is in a step, or an earlier frame was only half mapped. The map is unchanged.
-            Exception: any error that the seeding rule raised while it proposed seeds. The map is unchanged. After an
-                error in ``after_step``, or in a loss or optimiser that was given, the map takes no more frames.
+            Exception: any error that the seeding rule raised. The map is unchanged.
         """
         with self._whole_frame(frame):
             self.clock = StageClock()
@@ -170,9 +174,9 @@ class Mapper(ABC):
     def map_frame(self, frame: Frame) -> StepReport:
         """Map a frame that was checked and has a pose; the system's part of ``step``.
 
-        What can fail because of a seeding rule comes first; all changes of the map come after
-        ``self.guard.changes_begin()``. All work that takes time is in a stage, ``with self.clock("optimise"): ...``:
-        the speed of a run is computed from the sum of the stages.
+        What can fail because of the user's code comes first. All changes of the map are inside
+        ``with self.changes(...)``, and changes that cannot be undone come last. All work that takes time is in a stage,
+        ``with self.clock("optimise"): ...``: the speed of a run is computed from the sum of the stages.
         """
 
     @abstractmethod
@@ -251,15 +255,15 @@ class Mapper(ABC):
     def _whole_frame(self, frame: Frame) -> Iterator[None]:
         """Context in which ``frame`` is mapped, all of it or nothing, by one thread at a time.
 
-        If what comes before the changes of the map fails, the random numbers, the rule's memory and the tracked pose
-        are restored.
+        If what comes before ``changes`` fails, the random numbers, the rule's memory and the tracked pose are restored;
+        if an undoable change fails, so is the map.
         """
         with self.watch(frame.index), self.guard.while_mapping(frame.index):
             random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
             try:
                 yield
             except BaseException:
-                if not self.guard.changing:
+                if self.guard.undo():
                     self.random.load_state_dict(random_numbers)
                     self.rule_in_use.set_memory(memory)
                     self.localiser.take_back()
@@ -268,6 +272,31 @@ class Mapper(ABC):
                 self.after_steps.frame_ends()
             if self.passes.begun:  # with more frames, the optimisation after the scan starts again
                 self.passes = KeyframePasses()
+
+    @contextlib.contextmanager
+    def changes(self, *, undoable: bool = False) -> Iterator[None]:
+        """Context in which a frame changes the map.
+
+        Args:
+            undoable: Keep a snapshot of the map until the end of the context. A failure in it then leaves the map as it
+                was, and Ctrl-C takes effect between two gradient steps. Always on while foreign code runs.
+        """
+        foreign = self.after_steps.edits or self.training.names or runs_learners_code()
+        self.guard.changes_begin(self._undo() if undoable or foreign else None)
+        yield
+        self.guard.changes_stay()
+
+    def _undo(self) -> Callable[[], None]:
+        """A function that undoes what a frame changes in the map, from now on; a subclass extends it."""
+        rows, steps, taken = self.gaussians.snapshot(), self.gaussians.step_count, self.after_steps.taken
+        n_keyframes = len(self.keyframes)
+
+        def undo() -> None:
+            self.gaussians.restore(rows)
+            self.gaussians.step_count, self.after_steps.taken = steps, taken
+            self.keyframes.cut(n_keyframes)
+
+        return undo
 
     def rows_changed(self, before: Int[Tensor, " N"]) -> None:  # noqa: B027
         """Called after a rule's edit of the map; a subclass that holds copies of rows brings them up to date.
@@ -371,14 +400,23 @@ class Mapper(ABC):
         so must a loss and an optimiser.
 
         Raises:
-            SequenceError: rule, loss or optimiser is not that of the checkpoint, or the rule had a state that was not
-                saved.
+            SequenceError: the rule is neither given nor registered by its name, the loss or optimiser is not given, or
+                one of them had a state that was not saved.
         """
         config = from_dict(cls.config_type, state["config"])
-        rule = rule_of_run(state["rule"]) if seeding is None else seeding
-        mapper = cls(config, seeding=rule, device=device, loss=loss, optimiser=optimiser)
-        mapper.training.check_same(state["training"])
+        if seeding is None:
+            check_known(state["rule"])
+        rule = find_rule(seeding if seeding is not None else state["rule"]["name"])
+        settings = settings_of_run(config, rule)
+        given = given_functions(loss, optimiser)
+        mapper = cls(settings, seeding=rule, device=device, **given)
+        mapper.notes += mapper.training.notes_on(state.get("training", {}))
         mapper.rule_in_use.load_state_dict(state["rule"])
+        if mapper.rule_in_use.differs(state["rule"]):
+            mapper.notes.append(
+                f"after {state['n_frames']} frames the run continued with another seeding rule, or an edited one: "
+                f"{shown(rule_name(mapper.rule))} instead of {shown(state['rule']['name'])}"
+            )
         mapper._load(state)
         return mapper
 
@@ -412,6 +450,11 @@ class Mapper(ABC):
         """
         device = params.xyz_W.device
         return lambda camera, T_WC: cls.render_gaussians(params, camera, T_WC.to(device), config)
+
+    @classmethod
+    def aligned_pose(cls, draw: Draw, params: GaussianParams, frame: Frame) -> Float[Tensor, "4 4"]:
+        """The pose at which the map's picture fits the frame best; default: by the Gaussians alone (``fit_pose``)."""
+        return fit_pose(params, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC).T_WC
 
     def standard_gaussians(self) -> GaussianParams:
         """Gaussians whose sorted picture, as any viewer of splats draws it, is about that of the map."""
@@ -469,6 +512,8 @@ class Mapper(ABC):
         self._follow(self.localiser.record(frame))
 
     def _follow(self, correction: Correction | None) -> None:
-        """After a loop closure, move Gaussians and keyframes with the trajectory."""
+        """After a loop closure, move Gaussians, keyframes and what the rule remembers of the world with the
+        trajectory."""
         if correction is not None:
             move_map(correction, self.gaussians, self.keyframes)
+            move_memory(self.memory, correction.transform_of)

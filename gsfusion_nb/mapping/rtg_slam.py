@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -62,6 +62,7 @@ class RTGSLAM(Mapper):
     curves: ClassVar = Mapper.curves | {
         "stable Gaussians": lambda report: report.counts["stable_opaque"] + report.counts["stable_transparent"]
     }
+    memory_savers = ("a smaller share in seeding.options",)
 
     config: RtgSlamConfig
     gaussians: SurfelModel
@@ -85,16 +86,17 @@ class RTGSLAM(Mapper):
             seeds = self.propose_seeds(context)  # Eq. 6
         is_keyframe = self.is_next_keyframe(frame)
         window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0
-        self.guard.changes_begin()
-        self.gaussians.append(seeds, frame.index)
-        self._begin(context, is_keyframe, window_is_due, keyframes_are_due)
-        with self.clock("optimise"):
-            losses = self._optimise_window() if window_is_due else []  # Eq. 7-9
-        with self.clock("keyframes"):
-            n_steps = self._optimise_keyframes() if keyframes_are_due else 0
-        with self.clock("states"):
-            after, transitions = self._manage_states(frame)
-        self.gaussians.step_count = self.n_frames + 1
+        with self.changes(undoable=window_is_due or keyframes_are_due):
+            self.gaussians.append(seeds, frame.index)
+            self._begin(context, is_keyframe, window_is_due, keyframes_are_due)
+            with self.clock("optimise"):
+                losses = self._optimise_window() if window_is_due else []  # Eq. 7-9
+            with self.clock("keyframes"):
+                n_steps = self._optimise_keyframes() if keyframes_are_due else 0
+            self.guard.may_stop()
+            with self.clock("states"):
+                after, transitions = self._manage_states(frame)
+            self.gaussians.step_count = self.n_frames + 1
         return self._report(
             frame,
             seeds,
@@ -199,6 +201,7 @@ class RTGSLAM(Mapper):
         """
         losses, last = [], None
         for step in range(n):
+            self.guard.may_stop()
             i = len(views) - 1 if step >= newest_from else self._draw(len(views))
             loss, watched = self._step_on(views[i], optimiser)
             losses.append(loss)
@@ -264,6 +267,16 @@ class RTGSLAM(Mapper):
 
     def _draw(self, n: int) -> int:
         return int(torch.randint(n, (), generator=self.random.keyframes))
+
+    def _undo(self) -> Callable[[], None]:
+        """Also the window and the optimiser of the final passes."""
+        undo_map, window, final = super()._undo(), list(self.window), self._final
+
+        def undo() -> None:
+            undo_map()
+            self.window, self._final = deque(window, maxlen=self.window.maxlen), final
+
+        return undo
 
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
         """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..checks import shown
 from ..config import SystemConfig, from_dict
-from ..config.values import NOT_FOR_RULES, nested
+from ..config.values import NOT_FOR_RULES, nested, with_own_settings
 from ..files import SequenceError
 from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
@@ -94,17 +94,12 @@ class RuleInUse:
         """Restore the state of the rule.
 
         Raises:
-            SequenceError: the rule that made the checkpoint stored something that is not in it, or is another one.
+            SequenceError: the rule that made the checkpoint stored something that is not in it.
         """
         if state["changed"]:
             raise SequenceError(
                 f"the seeding rule {shown(state['name'])} stores something from one frame to the next that is not in "
                 "the checkpoint, so the run cannot continue to the same map; keep it in ctx.memory instead"
-            )
-        if state["name"] != rule_name(self.rule) or state["fingerprint"] != self._fingerprint:
-            raise SequenceError(
-                f"this run began with the seeding rule {shown(state['name'])}, and {shown(rule_name(self.rule))} is "
-                "another or an edited one; the source of the run's own is in rule.py of its folder"
             )
         self.set_memory(state["memory"])
 
@@ -115,16 +110,20 @@ class RuleInUse:
         self.memory.clear()
         self.memory.update(kept)
 
+    def differs(self, state: dict[str, Any]) -> bool:
+        """Whether this is not the rule of ``state``, or it was edited since."""
+        return state["name"] != rule_name(self.rule) or state["fingerprint"] != self._fingerprint
 
-def rule_of_run(state: dict[str, Any]) -> SeedingRule:
-    """The rule that is registered here by the name of a checkpoint's. Raises ``SequenceError`` if there is none."""
+
+def check_known(state: dict[str, Any]) -> None:
+    """Raise ``SequenceError`` if the rule of a checkpoint is not the one that is registered here by its name."""
     name, known = state["name"], registered().get(state["name"])
-    if known is None:
+    if known is None or rule_fingerprint(known) != state["fingerprint"]:
+        what = "is not known here" if known is None else "is not the one that is registered here by that name"
         raise SequenceError(
-            f"the seeding rule {shown(name)} of this run is not known here; its source is in rule.py of the run's "
-            "folder: define it and continue with it in Python: resume_mapping(folder, seeding=<the rule>)"
+            f"the seeding rule {shown(name)} of this run {what}; its source is in rule.py of the run's folder: define "
+            "it and continue with it in Python: resume_mapping(folder, seeding=<the rule>)"
         )
-    return known
 
 
 def settings_with_rule(config: S, rule: SeedingRule) -> S:
@@ -143,8 +142,7 @@ def settings_with_rule(config: S, rule: SeedingRule) -> S:
             ``own_settings`` names a setting that the system does not have.
     """
     config = _with_options(config, rule)
-    brought = _brought(config, rule)
-    changes = {n: v for n, v in brought.items() if _value(config, n) != v and not _is_own(config, n)}
+    changes = _changes_by(rule, config)
     if not changes:
         return config
     for name, value in changes.items():
@@ -153,6 +151,17 @@ def settings_with_rule(config: S, rule: SeedingRule) -> S:
         return from_dict(type(config), nested(changes, "."), start=config)
     except (TypeError, ValueError, KeyError) as e:
         raise ValueError(f"the seeding rule {rule_name(rule)!r} brings settings that are refused: {e}") from None
+
+
+def settings_of_run(config: S, rule: SeedingRule) -> S:
+    """``config`` of a run that continues with ``rule``, an edited or another one: the settings of the run stay."""
+    return with_own_settings(config, sorted(_changes_by(rule, config)))
+
+
+def _changes_by(rule: SeedingRule, config: SystemConfig) -> dict[str, Any]:
+    """The settings that the rule changes, by dotted name, with their new values."""
+    brought = _brought(config, rule)
+    return {n: v for n, v in brought.items() if _value(config, n) != v and not _is_own(config, n)}
 
 
 def _with_options(config: S, rule: SeedingRule) -> S:
@@ -323,23 +332,23 @@ class AfterSteps:
 
         Raises:
             Exception: what the rule raises, or ``ValueError`` if its edit is not possible. The map has no part of the
-                edit.
+                edit. In the passes after the scan the rule's memory and its random numbers are as before the call;
+                online, whoever undoes the frame restores them.
         """
-        if self._rule is None or not self.edits:
+        if not self.edits:
             return
-        now = self._context
-        ctx = mapper.seed_context(_as_frame(view)) if now is None else dataclasses.replace(now)
-        edit = self._rule.after_step(ctx, self._stats(step, view, loss, rgb), ctx.memory)
-        check_memory(self._name, ctx.memory)
-        if edit is None:
+        if self._context is not None:
+            self._edit(mapper, dataclasses.replace(self._context), self._stats(step, view, loss, rgb))
             return
-        if not isinstance(edit, Edit):
-            raise TypeError(f"seeding rule {self._name!r}: after_step must return an Edit or None, got {shown(edit)}")
+        ctx = mapper.seed_context(_as_frame(view))
+        memory, random_numbers = copy_memory(ctx.memory), ctx.generator.get_state()
         try:
-            before = mapper.gaussians.edit(edit, ctx.generator, ctx.frame.index)
-        except ValueError as error:
-            raise ValueError(f"seeding rule {self._name!r} returned an impossible edit: {error}") from None
-        mapper.rows_changed(before)
+            self._edit(mapper, ctx, self._stats(step, view, loss, rgb))
+        except BaseException:
+            ctx.memory.clear()
+            ctx.memory.update(memory)
+            ctx.generator.set_state(random_numbers)
+            raise
 
     def _stats(self, step: WatchedStep, view: Frame | Keyframe, loss: Tensor, rgb: Tensor) -> StepStats:
         online, seen = self._context is not None, step.footprints
@@ -359,6 +368,20 @@ class AfterSteps:
             v_uv=step.v_uv,
             v_uv_abs=step.v_uv_abs,
         )
+
+    def _edit(self, mapper: Any, ctx: SeedContext, stats: StepStats) -> None:
+        assert self._rule is not None
+        edit = self._rule.after_step(ctx, stats, ctx.memory)
+        check_memory(self._name, ctx.memory)
+        if edit is None:
+            return
+        if not isinstance(edit, Edit):
+            raise TypeError(f"seeding rule {self._name!r}: after_step must return an Edit or None, got {shown(edit)}")
+        try:
+            before = mapper.gaussians.edit(edit, ctx.generator, ctx.frame.index)
+        except ValueError as error:
+            raise ValueError(f"seeding rule {self._name!r} returned an impossible edit: {error}") from None
+        mapper.rows_changed(before)
 
 
 def _spread(values: Float[Tensor, "R 2"] | None, rows: Int[Tensor, " R"], n: int) -> Float[Tensor, "N 2"] | None:

@@ -5,7 +5,7 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -159,24 +159,32 @@ class HalfMappedError(RuntimeError):
     """A map contains only a part of a frame; it cannot map more frames, because the rest of that frame is lost."""
 
 
+class FrameUndone(KeyboardInterrupt):
+    """A frame was undone because the program is asked to stop; the map is as before it."""
+
+
 class FrameGuard:
     """Lets a mapper map one frame at a time, and remembers a frame that it could not finish.
 
-    What can fail because of a seeding rule or the data comes before ``changes_begin``; if it fails, the map is
-    unchanged. From there on a failure leaves the frame half mapped, and the map refuses more frames.
+    What can fail because of the user's code or data comes before ``changes_begin``; if it fails, the map is unchanged.
+    From there until ``changes_stay`` a frame can be undone, if the mapper has given a function for it. Otherwise only a
+    failure of the machine (memory) or of the program can leave a frame half mapped; the map then refuses more frames.
     """
 
     def __init__(self):
+        self.stop_wanted: Callable[[], bool] = lambda: False
+        """Whether the program is asked to stop; a frame that can be undone is then given up. A run sets it."""
         self.half_mapped = ""
         """Which frame was only half mapped, and why; empty if none was."""
         self._lock = threading.Lock()
-        self._index, self.changing = -1, False
+        self._index, self._changing = -1, False
+        self._undo: Callable[[], None] | None = None
 
     @contextlib.contextmanager
     def while_mapping(self, index: int) -> Iterator[None]:
         """Context for the step of a mapper on the frame with this index.
 
-        After ``changes_begin``, Ctrl-C takes effect only when the frame is mapped.
+        After ``changes_begin``, Ctrl-C takes effect only when the frame is mapped, or at ``may_stop``.
 
         Raises:
             RuntimeError: another thread is in a step. HalfMappedError: an earlier frame was only half mapped.
@@ -191,21 +199,45 @@ class FrameGuard:
                     f"{self.half_mapped}; this map takes no more frames: continue from the run's last checkpoint "
                     "(resume_mapping), or with a new mapper"
                 )
-            self._index, self.changing = index, False
+            self._index, self._changing, self._undo = index, False, None
             with DelayedInterrupt() as self._interrupt:
                 try:
                     yield
                 except BaseException as e:
-                    if self.changing:
+                    if self._changing:
                         self.half_mapped = f"frame {index} was only half mapped ({type(e).__name__}: {e})"
                     raise
         finally:
+            self._undo = None
             self._lock.release()
 
-    def changes_begin(self) -> None:
-        """Declare that the frame changes the map from here on."""
+    def changes_begin(self, undo: Callable[[], None] | None = None) -> None:
+        """Declare that the frame changes the map from here on; ``undo`` would bring back the map of now."""
         self._interrupt.delay()
-        self.changing = True
+        self._changing, self._undo = True, undo
+
+    def may_stop(self) -> None:
+        """Called between two gradient steps. If the frame can be undone, Ctrl-C and SIGTERM take effect here.
+
+        Raises:
+            FrameUndone: the program is asked to stop. KeyboardInterrupt: Ctrl-C, where nobody else handles it.
+        """
+        if self._undo is None:
+            return
+        self._interrupt.deliver()
+        if self.stop_wanted():
+            raise FrameUndone
+
+    def changes_stay(self) -> None:
+        """Declare that what follows cannot be undone."""
+        self._undo = None
+
+    def undo(self) -> bool:
+        """Undo what the frame has changed; returns whether the map is now as it was before the frame."""
+        if self._undo is not None:
+            self._undo()
+            self._changing = False
+        return not self._changing
 
 
 class DelayedInterrupt:
@@ -234,6 +266,15 @@ class DelayedInterrupt:
         for number in (signal.SIGINT, signal.SIGTERM):
             if callable(signal.getsignal(number)):
                 outer._handlers[number] = signal.signal(number, lambda *signal_: outer._pending.append(signal_))
+
+    def deliver(self) -> None:
+        """Deliver the signals that have come so far, in the block; those that come later wait again."""
+        outer = DelayedInterrupt._outermost
+        if outer is None or threading.current_thread() is not threading.main_thread():
+            return
+        while outer._pending:
+            number, frame = outer._pending.pop(0)
+            outer._handlers[number](number, frame)
 
     def __exit__(self, *_: object) -> None:
         if DelayedInterrupt._outermost is not self:

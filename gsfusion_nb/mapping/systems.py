@@ -12,7 +12,7 @@ from .gps_slam import GPSSLAM
 from .gsfusion import GSFusion
 from .mapper import Mapper
 from .rtg_slam import RTGSLAM
-from .training import LossFunction
+from .training import LossFunction, given_functions
 
 SYSTEMS: dict[str, type[Mapper]] = {
     "gsfusion": GSFusion,
@@ -48,4 +48,5 @@ def make_mapper(
     optimiser: UpdateFunction | None = None,
 ) -> Any:
     """A new mapper of the system that ``config`` belongs to; arguments as for ``Mapper``."""
-    return SYSTEMS[system_of(config)](config, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
+    given = given_functions(loss, optimiser)
+    return SYSTEMS[system_of(config)](config, seeding=seeding, device=device, **given)

@@ -41,6 +41,11 @@ in GSFusion, of the discs in RTG-SLAM, of surface and Gaussians in GPS-SLAM, whe
 ``view.pixels`` are drawn and count."""
 
 
+def given_functions(loss: LossFunction | None, optimiser: UpdateFunction | None) -> dict[str, Any]:
+    """Those of the two that are given, by name; a system that does not know them is not asked to take them."""
+    return {name: f for name, f in (("loss", loss), ("optimiser", optimiser)) if f is not None}
+
+
 class Training:
     """What a mapper optimises with. Without arguments it is the system's own loss and Adam.
 
@@ -57,7 +62,7 @@ class Training:
 
     def __init__(self, loss: LossFunction | None = None, optimiser: UpdateFunction | None = None):
         self.loss, self.optimiser = loss, optimiser
-        self._given = {name: f for name, f in (("loss", loss), ("optimiser", optimiser)) if f is not None}
+        self._given = given_functions(loss, optimiser)
         for name, f in self._given.items():
             if isinstance(f, type) or not callable(f):
                 raise TypeError(f"{name} must be a function, got {shown(f)}")
@@ -100,16 +105,23 @@ class Training:
         """Name and fingerprint of each function that is given."""
         return {kind: {"name": rule_name(f), "code": rule_fingerprint(f)} for kind, f in self._given.items()}
 
-    def check_same(self, state: dict[str, dict[str, str]]) -> None:
-        """Raise ``SequenceError`` unless a checkpoint was made with the same loss and optimiser."""
-        now = self.state_dict()
+    def notes_on(self, state: dict[str, dict[str, str]]) -> list[str]:
+        """Sentences about a difference from the training of a checkpoint.
+
+        Raises:
+            SequenceError: the checkpoint was made with a function that is not given now.
+        """
+        notes, now = [], self.state_dict()
         for kind in ("loss", "optimiser"):
+            if kind in state and kind not in now:
+                raise SequenceError(
+                    f"this run has its own {kind}, {shown(state[kind]['name'])}, which is not in the checkpoint: "
+                    f"continue it in Python with resume_mapping(folder, {kind}=<the function>)"
+                )
             if now.get(kind) != state.get(kind):
                 was = shown(state[kind]["name"]) if kind in state else "the system's own"
-                raise SequenceError(
-                    f"this run began with another {kind}, {was}: continue it in Python with resume_mapping(folder, "
-                    f"{kind}=<the function>), or without one"
-                )
+                notes.append(f"the run continued with another {kind}: {self.names[kind]!r} instead of {was}")
+        return notes
 
 
 def _try_out(optimiser: UpdateFunction, name: str) -> None:

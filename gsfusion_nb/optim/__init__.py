@@ -6,10 +6,13 @@ from .adam import UpdateFunction as UpdateFunction
 from .adam import adam_step as adam_step
 from .adam import adam_update as adam_update
 from .adam import adam_update_map as adam_update_map
+from .fit_view import PoseFit as PoseFit
 from .fit_view import PoseSystem as PoseSystem
 from .fit_view import exposed as exposed
 from .fit_view import exposed_vjp as exposed_vjp
 from .fit_view import fit_gain as fit_gain
+from .fit_view import fit_pose as fit_pose
+from .fit_view import fit_pose_by_flow as fit_pose_by_flow
 from .fit_view import flow_of_motion as flow_of_motion
 from .fit_view import pose_step as pose_step
 from .fit_view import pose_system as pose_system

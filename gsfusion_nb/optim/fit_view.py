@@ -1,8 +1,9 @@
 """The pose and the exposure of one view from its picture, while the map stays.
 
-``pose_step`` is a Gauss-Newton step by the flow that a motion would cause. If the camera moves by T_WC exp(xi), a point
-at X in its frame moves to X - rho - omega x X, and its image with it. To first order the picture I of a still scene
-then changes at each pixel by
+``fit_pose`` follows the gradient of the picture. ``fit_pose_by_flow`` is for maps that have no gradient; it takes
+Gauss-Newton steps by the flow that a motion would cause. If the camera moves by T_WC exp(xi), a point at X in its frame
+moves to X - rho - omega x X, and its image with it. To first order the picture I of a still scene then changes at each
+pixel by
 
     J xi,      J = grad I . dpi/dX [I, -hat(X)],      X = z K^-1 (u, v, 1)
 
@@ -20,15 +21,18 @@ camera's gamma curve it multiplies the colours, too, (g L)^(1/2.2) = g^(1/2.2) L
 factors a view are nearly all there is to know, and too few to hide an error of the map.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..checks import check_whole
 from ..geometry import se3
+from ..render import pose_vjp, render_forward, render_vjp
 from ..render.constants import SHOWN_ALPHA
-from ..types import Camera, RenderOutput
+from ..types import Camera, GaussianParams, RenderOutput
 
 SMALL_RESIDUAL = 0.02
 """The weights are those of the mean absolute error, 1 / |r|, but not larger than for this difference of colours."""
@@ -131,6 +135,122 @@ def pose_step(
     xi = -torch.linalg.solve(system.H.double().cpu() + weight.diag(), system.g.double().cpu() + weight * e)
     xi = xi / max(1.0, float((xi.abs() / sigma).max()))
     return (here @ se3.exp(xi)).to(T_WC)
+
+
+EVALUATIONS = 20
+"""Pictures drawn, one for each trial pose; a line search that has begun may add a few."""
+UNIT = 0.01
+"""Metres and radians: the motions that are sought are about this large, so numbers in this unit are about 1."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseFit:
+    """The fitted pose of a view."""
+
+    T_WC: Float[Tensor, "4 4"]
+    """Camera-to-world pose with the smallest error of all that were tried, the given one included."""
+    mse_before: float
+    """Mean squared error of the picture at the given pose, colours 0..1."""
+    mse_after: float
+    """At ``T_WC``; at most ``mse_before``."""
+
+
+def fit_pose(
+    params: GaussianParams,
+    camera: Camera,
+    rgb: Float[Tensor, "H W 3"],
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    evaluations: int = EVALUATIONS,
+) -> PoseFit:
+    """Move a camera until the map's picture fits the one that was taken: the mean squared error, by L-BFGS on a twist.
+
+    It corrects poses that are wrong by some millimetres and tenths of a degree, as a tracker's are. It finds no view
+    whose pose is unknown: the picture must nearly fit, because a Gaussian's gradient reaches only as far as it does.
+
+    Args:
+        params: The map.
+        camera: Of the view.
+        rgb: The picture that was taken, 0..1. [H, W, 3]
+        T_WC: Its pose so far.
+        evaluations: Pictures drawn with their gradients before the search ends; a few more end a line search.
+
+    Raises:
+        ValueError: ``evaluations`` is no whole number of at least 1.
+
+    Differentiable: no. Source: MonoGS and SplaTAM (Matsuki et al. 2024, Keetha et al. 2024) track by minimising such an
+    error over the pose, with Adam; L-BFGS needs fewer pictures.
+    """
+    check_whole("evaluations", evaluations, 1)
+    T_start = T_WC.to(params.xyz_W)
+    x = T_start.new_zeros(6, requires_grad=True)
+    tried: list[tuple[float, Tensor]] = []
+
+    def error() -> float:
+        T_WC = T_start @ se3.exp(UNIT * x)
+        here = T_WC.detach()
+        output, saved = render_forward(params, camera, here, with_indices=False)
+        difference = output.rgb - rgb
+        mse = float(difference.square().mean())
+        tried.append((mse, here))
+        v_xi = pose_vjp(params, render_vjp(saved, 2 * difference / difference.numel()), here)
+        with torch.enable_grad():
+            moved = se3.log(se3.inverse(here) @ T_WC)  # zero: its derivative leads from the twist at ``here`` to x
+        (gradient,) = torch.autograd.grad(moved, x, v_xi)
+        scale = max(tried[0][0], 1e-12)
+        x.grad = gradient / scale
+        return mse / scale
+
+    solver = torch.optim.LBFGS(
+        [x], max_iter=evaluations, max_eval=evaluations, tolerance_change=1e-4, line_search_fn="strong_wolfe"
+    )
+    solver.step(error)
+    mse, best = min(tried, key=lambda trial: trial[0])
+    return PoseFit(T_WC=best, mse_before=tried[0][0], mse_after=mse)
+
+
+STEPS = 8
+"""Pictures drawn."""
+SIGMA = 0.05
+"""Metres and radians: how far the pose may be from the given one, as a standard deviation, and the longest step."""
+
+
+def fit_pose_by_flow(
+    draw: Callable[[Camera, Tensor], RenderOutput],
+    camera: Camera,
+    rgb: Float[Tensor, "H W 3"],
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    steps: int = STEPS,
+) -> PoseFit:
+    """Move a camera until the map's picture fits the one that was taken, without any gradient of the map.
+
+    ``fit_pose`` needs the gradient of every part of the picture; a surface seen by rays has none. Here the colours
+    and depths of the picture say how it moves (``pose_system``). Of all poses tried, the best is returned.
+
+    Args:
+        draw: Renders the map; its picture, depth and alpha are used.
+        camera: Of the view.
+        rgb: The picture that was taken, 0..1. [H, W, 3]
+        T_WC: Its pose so far.
+        steps: Pictures drawn.
+
+    Raises:
+        ValueError: ``steps`` is no whole number of at least 1.
+
+    Differentiable: no.
+    """
+    check_whole("steps", steps, 1)
+    sigma = torch.full((6,), SIGMA, dtype=torch.float64)
+    here, tried = T_WC, list[tuple[float, Tensor]]()
+    for _ in range(steps):
+        output = draw(camera, here)
+        tried.append((float((output.rgb - rgb).square().mean()), here))
+        if tried[-1][0] > 1.5 * tried[0][0]:
+            break
+        here = pose_step(pose_system(output, rgb, camera), here, T_WC, sigma)
+    mse, best = min(tried, key=lambda trial: trial[0])
+    return PoseFit(T_WC=best, mse_before=tried[0][0], mse_after=mse)
 
 
 PRIOR_PIXELS = 10.0

@@ -110,6 +110,10 @@ class KeyframeList:
         """Add ``frame`` as a keyframe, with its depth if ``with_depth``."""
         self._keep(Keyframe.of(frame, with_depth=with_depth))
 
+    def cut(self, count: int) -> None:
+        """Keep only the first ``count`` keyframes."""
+        del self._items[count:]
+
     def move(self, T: Float[Tensor, "K 4 4"]) -> None:
         """Apply a rigid motion to each keyframe's pose (a loop closure)."""
         self._items = [

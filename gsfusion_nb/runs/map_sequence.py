@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -201,7 +201,8 @@ def _work(
     run: MappingRun, stop: StopRequest, evaluate: bool, map_frames: Callable[[MappingRun, StopRequest], None]
 ) -> None:
     """Map and optimise until finished or asked to stop; sets the run's status."""
-    map_frames(run, stop)
+    with _frames_may_be_undone(run, stop):
+        map_frames(run, stop)
     if evaluate and not (stop or run.mapper.passes.begun or run.is_optimised) and run.mapper.n_passes:
         with stop.ending_at_once():
             online = outputs.score(run, "_online")
@@ -219,6 +220,17 @@ def _work(
         run.status = "complete"
     if run.steps and not len(run.mapper.gaussians):
         run.warnings.append(_why_empty(run))
+
+
+@contextlib.contextmanager
+def _frames_may_be_undone(run: MappingRun, stop: StopRequest) -> Iterator[None]:
+    """A block in which a request to stop takes effect between two gradient steps of a frame, except of the first."""
+    guard = run.mapper.guard
+    guard.stop_wanted = lambda: bool(stop) and len(run.steps) > 0
+    try:
+        yield
+    finally:
+        guard.stop_wanted = lambda: False
 
 
 def _score(run: MappingRun, folder: Path, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]) -> None:
@@ -247,17 +259,19 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
     for attempt in attempts if run.steps else ():
         try:
             attempt()
+        except DiskFullError as e:
+            notes += [str(e)] if str(e) != str(error) else []
         except Exception as e:
-            if not (isinstance(e, DiskFullError) or memory_is_full(e)):
+            if not memory_is_full(e):
                 raise
-            notes.append(f"Not everything could be saved: {e}.")
+            notes.append("There is too little memory to write all files.")
     if run.steps:
-        notes.insert(0, f"The {len(run.steps)} frames mapped before are saved in {folder}.")
+        saved = "saved" if not notes else "saved as far as the disk has space"
+        notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {folder}.")
     if run.resumable and CheckpointStore(folder / CHECKPOINTS).exists:
         notes.append(f"To continue from the last checkpoint: gsfusion-nb map --resume {folder}")
     if memory_is_full(error):
-        less = f"the memory of {run.mapper.device} is full; try smaller images (data.width), or fewer Gaussians."
-        raise MemoryError(" ".join([less, *notes])) from error
+        raise MemoryError(" ".join([f"{_describe_full(run.mapper)}.", *notes])) from error
     for note in notes:
         error.add_note(note)
 
@@ -321,6 +335,7 @@ def map_stream(
     folder: Path | str | None = None,
     evaluate: bool = True,
     on_stop: Literal["save", "finish"] = "save",
+    checkpoints: CheckpointEvery | None = None,
     watch: RunWatcher | None = None,
 ) -> FinishedRun:
     """Map frames as they arrive, optimise over the keyframes after the last, score, and write everything to a folder.
@@ -339,6 +354,7 @@ def map_stream(
         evaluate: Score the frames that were kept and write the report.
         on_stop: What Ctrl-C does: "save" ends the run; "finish" ends only the stream, and the optimisation and the
             report follow as usual, unless Ctrl-C is pressed again.
+        checkpoints: How often to save a checkpoint; every 30 s by default.
         watch: Sees every mapped frame and the finished maps, as for ``run_mapping``.
 
     Returns:
@@ -360,12 +376,27 @@ def map_stream(
     with RunFolder(new_folder(getattr(frames, "name", "stream"), folder)) as place:
         run = StreamRun(frames, mapper, policy=policy)
         run.watchers += [watch] if watch is not None else []
-        return drive(run, place.path, evaluate, map_frames)
+        return drive(run, place.path, evaluate, map_frames, every=checkpoints)
 
 
 def _why_empty(run: MappingRun) -> str:
     """A sentence that explains why the map has no Gaussians after at least one frame."""
     n_seeds, rule = sum(step.n_seeds for step in run.steps), rule_name(run.mapper.rule)
     if n_seeds:
-        return f"the map has no Gaussians: all {n_seeds:,} that were created were removed again"
-    return f"the map has no Gaussians: the seeding rule {rule!r} proposed none for any of the {len(run.steps)} frames"
+        why = f"all {n_seeds:,} that were created were removed again (see the settings under states)"
+        return f"the map has no Gaussians: {why}"
+    text = f"the map has no Gaussians: the seeding rule {rule!r} proposed none for any of the {len(run.steps)} frames"
+    with contextlib.suppress(SequenceError, StopIteration):
+        frame = next(iter(run.mapped_views(1)))
+        known = frame.depth_m[frame.depth_m > 0]
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+        text += f"; the depth of frame {frame.index} is from {low:.4g} to {high:.4g} m"
+    return f"{text}; the rule's options are {run.mapper.config.seeding.options or 'the defaults'}"
+
+
+def _describe_full(mapper: Mapper) -> str:
+    """A sentence that says what fills the memory, and which settings need less."""
+    less = ["smaller images (data.width)", *mapper.memory_savers]
+    if mapper.config.keyframes_on == "device":
+        less.append("keyframes in CPU memory (keyframes_on = 'cpu')")
+    return f"the memory of {mapper.device} is full of {mapper!r}; try {', '.join(less)}"

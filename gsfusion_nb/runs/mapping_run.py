@@ -10,13 +10,14 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, sequence_fingerprint
+from ..checks import check_number, check_saved, check_whole, shown
+from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
 from ..data.stream import read_ahead
 from ..export import CheckpointStore
-from ..mapping import DelayedInterrupt, GlobalStep, Mapper, StepReport, system_of
+from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..seeding.rule_code import file_source
 from ..types import Frame, Mesh
-from .run_folder import CHECKPOINTS, packed, unpacked
+from .run_folder import CHECKPOINTS, StepLog, packed, random_state
 
 log = logging.getLogger(__name__)
 
@@ -24,6 +25,17 @@ MAX_BAD_FRAMES_IN_A_ROW = 20
 """After more unusable frames in a row than this, the run stops."""
 READ_AHEAD = 4
 """Number of frames of a recording on disk that another thread decodes in advance."""
+
+
+@runtime_checkable
+class Frames(Protocol):
+    """Frames in order; one that cannot be used raises a ``SequenceError``, and reading can continue after it."""
+
+    def __next__(self) -> Frame: ...
+
+    def close(self) -> None:
+        """Stop: no more frames will be read."""
+        ...
 
 
 @runtime_checkable
@@ -72,9 +84,11 @@ class MappingRun:
             raise SequenceError(f"{sequence.name} has no poses; set tracking.poses = 'tracked' to track the camera")
         self.sequence = sequence
         self.source = source or {}
-        self.data_content = sequence_fingerprint(sequence) if source else ""
-        """A hash of the recording when the run began."""
+        self.data_files = data_files(sequence) if source else {}
+        """Path -> hash of the content of every file of the recording that the run reads, when it began."""
+        self._data_files = packed(self.data_files)
         self.steps: list[StepReport] = []
+        self._step_log = StepLog()
         self.global_losses: list[float] = []
         """Mean loss of each finished pass of the global optimisation."""
         self._pass_losses: list[torch.Tensor] = []
@@ -116,6 +130,9 @@ class MappingRun:
     def online(self) -> Generator[StepReport, None, None]:
         """Map the remaining frames one by one; those that cannot be used are skipped and listed in ``warnings``.
 
+        It ends early if a frame was undone because ``mapper.guard.stop_wanted`` asks for it; that frame is then the
+        next one.
+
         Raises:
             SequenceError: No frame could be mapped; the message gives the first reason.
         """
@@ -127,6 +144,8 @@ class MappingRun:
                     report = self._map(frame)
                 except StopIteration:
                     break
+                except FrameUndone:  # the run is asked to stop
+                    return
                 except SequenceError as e:
                     if not self._can_go_on(e):
                         raise
@@ -165,9 +184,8 @@ class MappingRun:
         self._warn(f"stopped after {self.bad_in_a_row} unusable frames in a row; everything mapped before is kept")
         return False
 
-    def frames(self) -> Any:
-        """The remaining frames in order, with ``close``; those on disk are decoded in advance. One that cannot be used
-        raises a ``SequenceError``, and reading can continue after it."""
+    def frames(self) -> Frames:
+        """The remaining frames; those on disk are decoded in advance."""
         view = self.sequence.mapping
         return read_ahead(view, start=self.next_position, depth=READ_AHEAD if _is_on_disk(view) else 0)
 
@@ -200,9 +218,10 @@ class MappingRun:
         document = {
             "system": self.system,
             "run": self.state_dict(),
-            "source": self.source,
+            "source": self.source or self.stream(),
             "mapper": self.mapper.state_dict(),
             "rule_from_file": bool(file_source(self.mapper.rule)),
+            "random": random_state(),
         }
         if self.store is None or self.store.folder != folder / CHECKPOINTS:
             self.store = CheckpointStore(folder / CHECKPOINTS)
@@ -210,7 +229,11 @@ class MappingRun:
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors of the state that never change."""
-        return self.mapper.constant_tensors()
+        return [*self.mapper.constant_tensors(), self._data_files, *self._step_log.blocks]
+
+    def stream(self) -> dict[str, Any]:
+        """Description of a source that cannot be opened again, if the run can be finished without it; else empty."""
+        return {}
 
     @property
     def can_be_saved(self) -> bool:
@@ -220,8 +243,8 @@ class MappingRun:
     def state_dict(self) -> dict[str, Any]:
         """The state of the run without its mapper, as tensors and plain values."""
         return {
-            "data_content": self.data_content,
-            "steps": packed([vars(step) for step in self.steps]),
+            "data_files": self._data_files,
+            "steps": self._step_log.state_dict(self.steps),
             "global_losses": list(self.global_losses),
             "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),
             "online_scores": dict(self.online_scores),
@@ -234,8 +257,21 @@ class MappingRun:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` saved."""
-        self.steps = [StepReport(**{**row, "losses": tuple(row["losses"])}) for row in unpacked(state["steps"])]
+        """Restore what ``state_dict`` saved.
+
+        Raises:
+            ValueError: The values contradict each other.
+        """
+        self.steps = self._step_log.load_state_dict(state["steps"])
+        check_saved("timestamps_s", state["timestamps_s"], (len(self.steps),), torch.float64)
+        check_whole("next_position", state["next_position"], len(self.steps))
+        check_whole("bad_in_a_row", state["bad_in_a_row"], 0)
+        check_number("seconds_global", state["seconds_global"], 0)
+        check_saved("pass_losses", state["pass_losses"], ("N",), finite=False)
+        if not all(isinstance(text, str) for text in state["warnings"]):
+            raise ValueError("warnings must be strings")
+        if not isinstance(state["is_optimised"], bool):
+            raise ValueError(f"is_optimised must be True or False, got {shown(state['is_optimised'])}")
         self.global_losses = state["global_losses"]
         self._pass_losses = list(state["pass_losses"].to(self.mapper.device))
         self.online_scores = state["online_scores"]
@@ -255,10 +291,11 @@ class MappingRun:
         return True
 
     def _why_nothing(self) -> str:
+        n = len(self.sequence.mapping)
         if not self.warnings:
-            return f"no frame came from {self.sequence.name}"
-        reason = self.warnings[0].removeprefix("skipped a frame: ").removesuffix("; everything mapped before is kept")
-        return f"no frame of {self.sequence.name} could be mapped, the first because {reason}"
+            return f"none of the {n} frames could be mapped"
+        reason = self.warnings[0].removeprefix("skipped a frame: ")
+        return f"none of the {n} frames could be mapped, the first because {reason}"
 
     def _warn(self, sentence: str) -> None:
         self.warnings.append(sentence)

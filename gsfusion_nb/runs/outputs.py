@@ -15,6 +15,7 @@ from torch import Tensor
 
 from .. import __version__
 from ..config import to_dict
+from ..data import sequence_fingerprint
 from ..evaluation import (
     NotComputed,
     centres_to_own_mesh,
@@ -36,9 +37,8 @@ from .report import ReportData, ReportView, write_report
 from .run_folder import METRICS, RULE
 from .scored_views import (
     VIEWS,
-    frames_at,
+    frames_in_map,
     ground_truth_poses,
-    poses_in_map,
     readable_frames,
     score_in_map,
     scored_views,
@@ -66,8 +66,11 @@ MESH_VIEWS = 50
 
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of the current map on mapped and held-out views."""
-    draw = run.mapper.drawn_as_stored()
-    return score_in_map(draw, scored_views(run), run.sequence, suffix, with_lpips=with_lpips)
+    mapper, params = run.mapper, run.mapper.gaussians.params
+    draw = mapper.drawn_as_stored()
+    wanted = mapper.config.data.align_held_out and not suffix
+    align = (lambda frame: mapper.aligned_pose(draw, params, frame)) if wanted else None
+    return score_in_map(draw, scored_views(run), run.sequence, suffix, with_lpips=with_lpips, align=align)
 
 
 def write_maps(run: MappingRun, folder: Path) -> Mesh:
@@ -86,7 +89,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "gsfusion_nb": __version__,
         "system": run.system,
         "source": run.source,
-        "data_content": run.data_content,
+        "data_content": sequence_fingerprint(run.sequence) if run.source else "",
         "device": str(run.mapper.device),
         "rule": rule_name(run.mapper.rule),
         "rule_from_file": bool(file_source(run.mapper.rule)),
@@ -323,7 +326,7 @@ def _panels(run: MappingRun) -> list[ReportView]:
     for view, held_out in ((run.sequence.held_out, True), (run.mapped_views(1000), False)):
         picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
         picked = dataclasses.replace(view, positions=[view.positions[i] for i in picks])
-        for frame in frames_at(picked, poses_in_map(picked, run.mapper.localiser, run.sequence.mapping)):
+        for frame in frames_in_map(picked, run.mapper.localiser, run.sequence.mapping):
             rendered = run.mapper.render(frame.camera, frame.T_WC)
             panels.append(ReportView.of(frame, rendered, held_out=held_out, cells=run.mapper.quadtree_cells(frame)))
     return panels

@@ -74,7 +74,8 @@ def rescore(
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
 
     draw = system.drawn_from(folder, params, config)
-    scores = metrics_as_json(score_in_map(draw, views, sequence, with_lpips=with_lpips))
+    align = (lambda frame: system.aligned_pose(draw, params, frame)) if config.data.align_held_out else None
+    scores = metrics_as_json(score_in_map(draw, views, sequence, with_lpips=with_lpips, align=align))
     stored = document["metrics"]
     if not with_lpips:
         scores = {name: value for name, value in scores.items() if not (name.startswith("lpips") and name in stored)}

@@ -7,12 +7,13 @@ import torch
 
 from ..data import open_sequence
 from ..export import CheckpointStore
-from ..files import SequenceError, read_text, reason_of
+from ..files import UNREADABLE, SequenceError, file_hashes, read_text, reason_of
 from ..mapping import get_system
 from ..seeding import SeedingRule
 from ..seeding.rule_code import MOST_BYTES, is_rule_file, read_rule_file, rule_of_source
 from .mapping_run import MappingRun
-from .run_folder import CHECKPOINTS, RULE, is_complete
+from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, unpacked
+from .stream_run import StreamRun
 
 
 def load_run(
@@ -22,7 +23,7 @@ def load_run(
     device: torch.device | str = "cpu",
     **given: Any,
 ) -> MappingRun:
-    """The run that was interrupted or killed in ``folder``. ``given``: loss, optimiser.
+    """The run that was interrupted or killed in ``folder``; a stream gives no more frames. ``given``: loss, optimiser.
 
     Raises:
         FileNotFoundError: The folder holds no checkpoint (a complete run leaves none).
@@ -35,6 +36,7 @@ def load_run(
     loaded = store.load()
     try:
         run = _run_of(loaded.state, path, seeding, device, given)
+        load_random_state(loaded.state["random"])
     except SequenceError as e:
         if str(path) in str(e):
             raise
@@ -46,6 +48,24 @@ def load_run(
     if loaded.passed_over:
         run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is intact, is used instead")
     return run
+
+
+def _refuse_changes(then: dict[str, str], now: dict[str, str], path: Path) -> None:
+    """Raise ``SequenceError`` with the first files that differ between two states of a recording."""
+    changes = []
+    for file in sorted(then | now):
+        if file not in then:
+            changes.append(f"{file} (new)")
+        elif file not in now or (now[file] == UNREADABLE and then[file] != UNREADABLE):
+            changes.append(f"{file} (deleted)")
+        elif then[file] != now[file]:
+            changes.append(f"{file} (changed)")
+    if changes:
+        more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
+        raise SequenceError(
+            f"files of the recording are not as they were when {path} began: {', '.join(changes[:3])}{more}; restore "
+            "them, or map again into a new folder"
+        )
 
 
 def _rule_of(path: Path, document: dict[str, Any], given: "str | SeedingRule | None") -> "str | SeedingRule | None":
@@ -82,10 +102,23 @@ def _run_of(
         )
     rule, system = _rule_of(path, document, seeding), get_system(document["system"])
     mapper = system.from_state_dict(document["mapper"], seeding=rule, device=device, **given)
+    if "stream" in source:
+        return StreamRun.after_a_kill(source, mapper, state)
+    then = unpacked(state["data_files"])
+    _refuse_changes(then, file_hashes(then), path)
     run = MappingRun(open_sequence(**source, data=mapper.config.data), mapper, source=source)
-    if run.data_content != state["data_content"]:
-        raise SequenceError(
-            f"{run.sequence.name} is not as it was when {path} began: restore its files, or map again into a new folder"
-        )
+    _refuse_changes(then, run.data_files, path)
     run.load_state_dict(state)
+    cameras = [run.mapper.localiser.camera, *(keyframe.camera for keyframe in run.mapper.keyframes)]
+    others = [camera for camera in cameras if camera not in (None, run.sequence.camera)]
+    if others:
+        raise SequenceError(
+            f"{path} was mapped with the camera {others[0]}, but {run.sequence.name} now has {run.sequence.camera}"
+        )
+    n = len(run.sequence.mapping)
+    if run.next_position > n:
+        raise SequenceError(
+            f"{path} was interrupted after {run.next_position} frames, but {run.sequence.name} has {n} now; expected "
+            "the files that the run started with"
+        )
     return run

@@ -6,6 +6,7 @@ import itertools
 import json
 import logging
 import os
+import random
 import signal
 import threading
 import time
@@ -14,11 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from ..files import DiskFullError, read_object, remove_partial, try_lock
-from ..mapping import Mapper
+from ..mapping import Mapper, StepReport
 
 LOCK = ".lock"
 METRICS = "metrics.json"
@@ -100,6 +102,8 @@ log = logging.getLogger(__name__)
 NOT_SAVED = "this checkpoint could not be saved: %s; the last one is kept, and the run continues"
 MAX_SHARE = 0.03
 """Checkpoints at time intervals take at most this share of the run: after a slow one, the next is saved later."""
+BLOCK = 256
+"""Number of steps that are packed together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +142,9 @@ class Autosave:
     ):
         self._mapper, self._save, self._every, self._clock = mapper, save, every, clock
         self._next_s, self._steps = clock() + every.seconds, 0
+        self.n_saved = 0
+        self.seconds = 0.0
+        """Total time spent on checkpoints."""
 
     def __call__(self) -> None:
         self._steps += 1
@@ -151,10 +158,33 @@ class Autosave:
         began = self._clock()
         try:
             self._save()
+            self.n_saved += 1
         except DiskFullError as e:
             log.warning(NOT_SAVED, e)
         took = self._clock() - began
+        self.seconds += took
         self._next_s = began + took + max(self._every.seconds, took / MAX_SHARE)
+
+
+class StepLog:
+    """Packs a list of reports that grows at its end."""
+
+    def __init__(self):
+        self.blocks: list[Tensor] = []
+        """Full blocks; these tensors never change."""
+
+    def state_dict(self, steps: list[StepReport]) -> dict[str, Any]:
+        """All reports as tensors of bytes."""
+        while len(steps) >= BLOCK * (len(self.blocks) + 1):
+            at = BLOCK * len(self.blocks)
+            self.blocks.append(packed([vars(step) for step in steps[at : at + BLOCK]]))
+        return {"blocks": list(self.blocks), "rest": packed([vars(step) for step in steps[BLOCK * len(self.blocks) :]])}
+
+    def load_state_dict(self, state: dict[str, Any]) -> list[StepReport]:
+        """The reports that ``state_dict`` packed."""
+        self.blocks = list(state["blocks"])
+        rows = [row for block in (*self.blocks, state["rest"]) for row in unpacked(block)]
+        return [StepReport(**{**row, "losses": tuple(row["losses"])}) for row in rows]
 
 
 def packed(value: Any) -> Tensor:
@@ -165,6 +195,29 @@ def packed(value: Any) -> Tensor:
 def unpacked(block: Tensor) -> Any:
     """What ``packed`` packed."""
     return json.loads(block.cpu().numpy().tobytes())
+
+
+def random_state() -> dict[str, Any]:
+    """States of the global generators of torch, numpy and Python."""
+    name, keys, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002
+    version, words, next_gauss = random.getstate()
+    return {
+        "torch": torch.get_rng_state(),
+        "torch_cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else [],
+        "numpy": [name, torch.from_numpy(np.asarray(keys).astype(np.int64)), position, has_gauss, gauss],
+        "python": [version, torch.tensor(words, dtype=torch.int64), json.dumps(next_gauss)],
+    }
+
+
+def load_random_state(state: dict[str, Any]) -> None:
+    """Set the generators to what ``random_state`` returned."""
+    torch.set_rng_state(state["torch"].cpu())
+    if state["torch_cuda"] and torch.cuda.is_available() and len(state["torch_cuda"]) == torch.cuda.device_count():
+        torch.cuda.set_rng_state_all([s.cpu() for s in state["torch_cuda"]])
+    name, keys, *rest = state["numpy"]
+    np.random.set_state((name, keys.cpu().numpy().astype(np.uint32), *rest))  # noqa: NPY002
+    version, words, next_gauss = state["python"]
+    random.setstate((version, tuple(words.tolist()), json.loads(next_gauss)))
 
 
 class StopRequest:

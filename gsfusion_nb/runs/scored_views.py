@@ -2,7 +2,7 @@
 
 import bisect
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_whole
+from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
 from ..data import SequenceView
 from ..data.adjust.repair import RepairedSequence
 from ..evaluation import ImageScores, score_view
@@ -58,6 +58,11 @@ def poses_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView
             T_WC = None if there is None or here is None else T_WC @ se3.inverse(there.to(T_WC)) @ here.to(T_WC)
         poses.append(T_WC)
     return poses
+
+
+def frames_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> Iterator[Frame]:
+    """The readable frames of a view with their ``poses_in_map``; frames without one are left out."""
+    yield from frames_at(view, poses_in_map(view, localiser, mapping))
 
 
 def frames_at(view: SequenceView, poses: list[Float[Tensor, "4 4"] | None]) -> Iterator[Frame]:
@@ -195,6 +200,7 @@ def score_in_map(
     suffix: str = "",
     *,
     with_lpips: bool = False,
+    align: Callable[[Frame], Tensor] | None = None,
 ) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of each group of views, under the names of metrics.json.
 
@@ -204,13 +210,33 @@ def score_in_map(
         sequence: The sequence that holds their images.
         suffix: Appended to the name of the group.
         with_lpips: Also compute LPIPS.
+        align: If given, the held-out views are scored once more, as the group held_out_aligned, each at the pose that
+            it returns, at which the map fits the picture best (``Mapper.aligned_pose``), and as the group
+            held_out_fitted with brightness and white balance fitted, too (``fit_gain``).
     """
     metrics: dict[str, Any] = {}
-    for name, group in views.items():
+    groups = dict(views)
+    if align is not None:
+        fitted = _fitted(views["held_out"].frames(sequence), render, align)
+        groups["held_out_aligned"] = dataclasses.replace(fitted, gains={})
+        groups["held_out_fitted"] = fitted
+    for name, group in groups.items():
         scores = group.scores(render, sequence, with_lpips=with_lpips)
         metrics |= scores.as_metrics(name + suffix)
         metrics[f"n_views_{name}{suffix}"] = len(scores)
     return metrics
+
+
+def _fitted(frames: Iterator[Frame], draw: Draw, align: Callable[[Frame], Tensor]) -> ScoredViews:
+    """The views at the poses that fit their pictures to the map best, and their exposures there."""
+    views = ScoredViews([], [])
+    for frame in frames:
+        T_WC = align(frame)
+        shown = draw(frame.camera, T_WC)
+        views.positions.append(frame.index)
+        views.poses.append(T_WC.to(frame.T_WC))
+        views.gains[frame.index] = fit_gain(shown.rgb, frame.rgb.to(shown.rgb.device), shown.alpha >= SHOWN_ALPHA)
+    return views
 
 
 def views_as_json(views: dict[str, ScoredViews]) -> dict[str, Any]:
@@ -229,11 +255,16 @@ def read_views(folder: Path) -> dict[str, ScoredViews]:
     """Read the views from ``views.json`` in a run's folder.
 
     Raises:
-        FileNotFoundError: There is no such file. ValueError: The file is damaged.
+        FileNotFoundError: The run is from a version that did not write the file. ValueError: The file is damaged.
     """
     path = folder / VIEWS
-    document = read_object(path, "the views that a run is scored by")
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} does not exist, so the views to score and their poses are not known; the run is from an older "
+            "version: map the data again"
+        )
     try:
+        document = read_object(path, "the views that a run is scored by")
         return {name: _read_group(group) for name, group in document.items()}
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as e:
         raise ValueError(f"{path} is damaged: {reason_of(e)}") from None
@@ -248,5 +279,7 @@ def _read_group(group: list[dict[str, Any]]) -> ScoredViews:
         views.positions.append(view["frame"])
         views.poses.append(T_WC)
         if "gain" in view:
-            views.gains[view["frame"]] = torch.tensor(view["gain"], dtype=torch.float32).reshape(3)
+            gain = torch.tensor(view["gain"], dtype=torch.float32)
+            check_saved(f"gain of frame {view['frame']}", gain, (3,))
+            views.gains[view["frame"]] = gain
     return views

@@ -2,7 +2,7 @@
 
 import bisect
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import torch
@@ -66,6 +66,39 @@ class StreamRun(MappingRun):
         self._n_earlier = len(earlier)
         self.mapper.passes = KeyframePasses()
 
+    @property
+    def can_be_saved(self) -> bool:
+        """Whether a checkpoint can be saved now; it keeps the map if the process is killed, though not the stream."""
+        return not self.mapper.guard.half_mapped
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of the run, and the kept frames of the stream."""
+        counts = {"n_taken": self._n_taken, "n_unusable": self.n_unusable, "n_earlier": self._n_earlier}
+        return super().state_dict() | {"kept": self.kept.state_dict(), "counts": counts}
+
+    @classmethod
+    def after_a_kill(cls, source: dict[str, Any], mapper: Mapper, state: dict[str, Any]) -> "StreamRun":
+        """The run of a stream whose process was killed; it gets no more frames."""
+        nothing, passes = _Ended(source["stream"], source["has_poses"]), mapper.passes
+        run = cls(nothing, mapper, policy=source["policy"])
+        mapper.passes = passes
+        run.load_state_dict(state)
+        run.kept.load_state_dict(state["kept"])
+        counts = state["counts"]
+        run._n_taken, run.n_unusable, run._n_earlier = counts["n_taken"], counts["n_unusable"], counts["n_earlier"]
+        run.sequence = run.kept.opened()
+        run._warn(f"the stream was interrupted after {len(run.steps)} frames, when its process was killed")
+        return run
+
+    def stream(self) -> dict[str, Any]:
+        """Name and policy of the stream, for ``after_a_kill``."""
+        return {"stream": self.kept.name, "has_poses": self.kept.has_poses, "policy": self.policy}
+
+    def constant_tensors(self) -> list[Tensor]:
+        """Also the images of the kept frames."""
+        frames = [*self.kept.kept_mapped.items, *self.kept.kept_held_out.items]
+        return [*super().constant_tensors(), *(image for f in frames for image in (f.colour, f.depth_m))]
+
     def frames(self) -> "StreamRun":
         """The frames that come, without those held out: the run gives them itself."""
         return self
@@ -127,6 +160,22 @@ class StreamRun(MappingRun):
     def _can_go_on(self, error: SequenceError) -> bool:
         return isinstance(error, BadFrameError)  # any other came from the source and ended it
 
+    def _why_nothing(self) -> str:
+        if not self.warnings:
+            return f"no frame came from {self.sequence.name}"
+        reason = self.warnings[0].removeprefix("skipped a frame: ").removesuffix("; everything mapped before is kept")
+        return f"no frame of {self.sequence.name} could be mapped, the first because {reason}"
+
+
+class _Ended:
+    """A stream without further frames."""
+
+    def __init__(self, name: str, has_poses: bool):
+        self.name, self.has_poses = name, has_poses
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(())
+
 
 class KeptFrames:
     """A ``Sequence`` of some frames of a stream, by index, and of the poses of all mapped frames.
@@ -179,6 +228,23 @@ class KeptFrames:
         """The frames with these indices."""
         return SequenceView(source=self, positions=positions, camera=self.camera)
 
+    def state_dict(self) -> dict[str, Any]:
+        """All kept frames and poses, as tensors and plain values."""
+        samples = {"kept_mapped": self.kept_mapped, "kept_held_out": self.kept_held_out}
+        return {name: sample.state_dict() for name, sample in samples.items()} | {
+            "camera": vars(self.camera),
+            "mapped": torch.tensor(self.mapped, dtype=torch.int64),
+            "poses": torch.tensor(self._poses, dtype=torch.float32),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` saved."""
+        self.camera = Camera(**state["camera"])
+        self.mapped[:] = state["mapped"].tolist()
+        self._poses = array("f", state["poses"].tolist())
+        self.kept_mapped.load_state_dict(state["kept_mapped"])
+        self.kept_held_out.load_state_dict(state["kept_held_out"])
+
     def opened(self) -> OpenedSequence:
         """All mapped frames, of which only some have images, and the held-out frames that were kept."""
         held_out = [frame.index for frame in self.kept_held_out.items]
@@ -206,3 +272,10 @@ class _EvenSample:
             if self._n % self._step == 0:
                 self.items.append(frame)
         self._n += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"items": [frame.state_dict() for frame in self.items], "step": self._step, "n": self._n}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.items = [Frame.of_state(values) for values in state["items"]]
+        self._step, self._n = state["step"], state["n"]

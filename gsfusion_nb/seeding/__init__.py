@@ -7,6 +7,7 @@ from .apply import apply_rule as apply_rule
 from .apply import check_memory as check_memory
 from .apply import copy_memory as copy_memory
 from .apply import keep_one_per_voxel as keep_one_per_voxel
+from .apply import move_memory as move_memory
 from .check import check_contexts as check_contexts
 from .check import check_rule as check_rule
 from .context import SeedContext as SeedContext

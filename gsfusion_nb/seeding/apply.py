@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, cast
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import observed
@@ -19,6 +19,8 @@ from .rule import Option, SeedingRule, get_rule, is_map_rule, option_values, rul
 _PLAIN = (type(None), bool, int, float, str)
 _RESERVED = "$"
 """Checkpoints use this key themselves."""
+_WORLD = {"xyz_W": (3,), "normal_W": (3,), "T_WC": (4, 4)}
+"""Names of values in world coordinates, and the shape of a row: points, directions, camera-to-world poses."""
 
 
 def check_memory(rule: str, memory: Any, name: str = "memory") -> None:
@@ -35,6 +37,7 @@ def check_memory(rule: str, memory: Any, name: str = "memory") -> None:
             if type(key) is not str or key == _RESERVED:
                 raise TypeError(f"seeding rule {rule!r}: the keys of its {name} must be words, got {shown(key)}")
             check_memory(rule, value, f"{name}[{key!r}]")
+        _check_world(rule, memory, name)
     elif type(memory) in (list, tuple):
         for i, value in enumerate(memory):
             check_memory(rule, value, f"{name}[{i}]")
@@ -67,6 +70,43 @@ def equal_memories(a: Any, b: Any) -> bool:
     if isinstance(a, (list, tuple)):
         return len(a) == len(b) and all(map(equal_memories, a, b))
     return a == b or (a != a and b != b)
+
+
+def move_memory(memory: Any, transform_of: Callable[[Int[Tensor, " N"]], Float[Tensor, "N 4 4"]]) -> None:
+    """Move the values in world coordinates with the map, in place, as a loop closure moves Gaussians and keyframes.
+
+    Args:
+        memory: What a rule keeps. In each dict in it, the values with the names ``xyz_W`` (points), ``normal_W``
+            (directions) and ``T_WC`` (poses) are moved, each row with the frame that ``frame_index`` says.
+        transform_of: Frames -> world-to-world motions (``Correction.transform_of``).
+    """
+    if not isinstance(memory, (dict, list, tuple)):
+        return
+    if isinstance(memory, dict) and (names := _WORLD.keys() & memory.keys()):
+        T = transform_of(memory["frame_index"])
+        for name in names:
+            value = memory[name]
+            turn = T.to(value)
+            if name == "T_WC":
+                memory[name] = turn @ value
+            else:
+                turned = (turn[:, :3, :3] @ value[:, :, None]).squeeze(2)
+                memory[name] = turned + turn[:, :3, 3] if name == "xyz_W" else turned
+    for value in memory.values() if isinstance(memory, dict) else memory:
+        move_memory(value, transform_of)
+
+
+def _check_world(rule: str, memory: dict[str, Any], name: str) -> None:
+    """Raise ``TypeError`` for values in world coordinates without the frame of each row, by which they are moved."""
+    for key in _WORLD.keys() & memory.keys():
+        value, frame = memory[key], memory.get("frame_index")
+        n = len(frame) if isinstance(frame, Tensor) and frame.ndim == 1 and not frame.is_floating_point() else -1
+        if not isinstance(value, Tensor) or tuple(value.shape) != (n, *_WORLD[key]):
+            raise TypeError(
+                f"seeding rule {rule!r}: {name}[{key!r}] is moved when a loop closes, so it must be a tensor "
+                f"[N, {', '.join(map(str, _WORLD[key]))}] beside {name}['frame_index'], an int64 tensor [N] with "
+                "ctx.frame.index for each row"
+            )
 
 
 _COLUMNS = {"xyz_W": ("N", 3), "rgb": ("N", 3), "scale_m": ("N", 3), "quat": ("N", 4), "opacity": ("N",), "tag": ("N",)}

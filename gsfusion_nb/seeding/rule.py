@@ -155,7 +155,9 @@ class MapRule(ABC):
 
     A rule keeps what it must remember in ``memory``, one dict for each mapper with words as keys: tensors, numbers,
     True/False, words, None, and lists, tuples and dicts of these. It is saved in checkpoints. If a frame cannot be
-    mapped, the memory is restored to what it was before that frame.
+    mapped, the memory is restored to what it was before that frame. A loop closure moves what it says of the world
+    (``move_memory``): the values of a dict with the names ``xyz_W`` [N, 3], ``normal_W`` [N, 3] and ``T_WC`` [N, 4, 4],
+    each row with the frame of that number in ``frame_index`` [N] in the same dict.
     """
 
     when: ClassVar[When] = EVERY_FRAME
@@ -184,8 +186,8 @@ class MapRule(ABC):
 
         GSFusion calls it after every gradient step. RTG-SLAM optimises copies of some rows and calls it each time after
         these were written to the map: once after a window, once after a keyframe's optimisation, and after every step
-        in the passes after the scan. If it raises, the edit is not made; while a frame is mapped, the map then takes no
-        more frames.
+        in the passes after the scan. If it raises while a frame is mapped, the whole frame is undone. In the passes the
+        step stays, and the edit is not made.
 
         Args:
             ctx: The frame that is mapped (in the passes: the keyframe, without depth if the mapper keeps none), and the

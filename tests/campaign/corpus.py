@@ -280,6 +280,7 @@ def _run_folder(root: Path, takes) -> list[Seed]:
 INTERRUPTED = (
     ("interrupted", "gsfusion", {}, 2),
     ("interrupted_tracked", "rtg_slam", {"tracking__poses": "tracked", "tracking__back_end": True}, 2),
+    ("interrupted_stream", "gsfusion", {}, 2),
 )
 """Name, system, settings, and the steps after which the run was cut off; there are three frames."""
 
@@ -288,7 +289,7 @@ def _interrupted(root: Path, name: str, system: str, values: dict, n_steps: int)
     from gsfusion_nb.config import gsfusion, rtg_slam
     from gsfusion_nb.data import open_sequence
     from gsfusion_nb.mapping import make_mapper
-    from gsfusion_nb.runs import MappingRun
+    from gsfusion_nb.runs import MappingRun, StreamRun
 
     values = {"sh_degree": 1, "data__stop": 3, **values}
     if system == "gsfusion":
@@ -299,7 +300,10 @@ def _interrupted(root: Path, name: str, system: str, values: dict, n_steps: int)
         values |= {"window__iterations": 2, "final__passes": 2}
         config = rtg_slam("replica", **values)
     sequence = open_sequence(root / "scan", data=config.data)
-    run = MappingRun(sequence, make_mapper(config), source={"path_or_name": str(root / "scan")})
+    if name.endswith("stream"):
+        run = StreamRun(list(sequence.mapping), make_mapper(config))
+    else:
+        run = MappingRun(sequence, make_mapper(config), source={"path_or_name": str(root / "scan")})
     for step, _ in enumerate(itertools.chain(run.online(), run.optimise()), start=1):
         if step == n_steps:
             break

@@ -15,7 +15,7 @@ from gsfusion_nb.optim import adam_update, l1_vjp
 from gsfusion_nb.render import render_forward, render_vjp
 from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tsdf import tsdf_update
-from gsfusion_nb.types import Camera, GaussianParams
+from gsfusion_nb.types import Camera, Frame, GaussianParams
 
 pytestmark = pytest.mark.usefixtures("nothing_kept")
 
@@ -281,6 +281,29 @@ def test_the_solutions_can_stand_in_and_the_board_says_so():
     assert set(mine.kept()) == set(exercises())
     assert row("blend").whose == "solution"
     assert "blend" not in mine.board().yours
+
+
+def test_a_frame_in_which_the_learners_function_fails_is_taken_back():
+    camera = Camera(width=16, height=12, fx=14.0, fy=14.0, cx=8.0, cy=6.0)
+    rgb = torch.rand(12, 16, 3, generator=torch.Generator().manual_seed(3))
+    frame = Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=torch.full((12, 16), 2.0), camera=camera,
+                  T_WC=torch.eye(4))  # fmt: skip
+    config = gsfusion("online", sh_degree=0, tsdf__voxel_size_m=0.2, seeding__quadtree_contrast="std",
+                      optim__keyframe_iterations=2)  # fmt: skip
+    mapper, calls = GSFusion(config), []
+
+    def l1_gradient(rgb, target):
+        calls.append(1)
+        if len(calls) == 2:
+            raise ValueError("the second step")
+        return torch.sign(rgb - target) / rgb.numel()
+
+    mine.keep("l1_gradient", l1_gradient)
+    with use_backend("mine"):
+        with pytest.raises(LearnerError, match=r"your l1_gradient .* raised ValueError: the second step"):
+            mapper.step(frame)
+        assert (len(mapper.gaussians), len(mapper.keyframes), mapper.volume.n_blocks) == (0, 0, 0)
+        assert mapper.step(frame).n_seeds == len(mapper.gaussians) > 0
 
 
 def test_progress_written_by_hand_keeps_no_function(monkeypatch, tmp_path):

@@ -218,6 +218,22 @@ def test_numbers_of_a_rule_stay_with_their_rows(generator):
     assert again.memory["seen"].tolist() == [1, 2, 3, 4, 5, 0, 0, 5, 0]
 
 
+def test_a_snapshot_brings_everything_back(generator):
+    model = filled(generator)
+    model.row_memory("seen").fill_(2.0)
+    before, snapshot = rows(model), model.snapshot()
+    model.append(seeds(6000, generator))
+    model.edit(Edit(rates={"sh": torch.zeros(6006)}, keep=~mask(6006, 2)), generator)
+    model.params.xyz_W.zero_()
+    model.restore(snapshot)
+    assert len(model) == 6
+    assert list(model.columns) == list(before)
+    assert all(torch.equal(before[name], column) for name, column in model.columns.items())
+    model.append(seeds(3, generator))
+    assert_no_moments(model, slice(6, None))
+    assert not model.params.sh[6:, 1:].any()
+
+
 def test_states_and_anchors_of_surfels(generator):
     model = filled(generator, kind=SurfelModel)
     model.state.fill_(STABLE)

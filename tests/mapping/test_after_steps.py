@@ -1,6 +1,7 @@
-"""Rules that edit the map after gradient steps: what they are told; nothing else changes."""
+"""Rules that edit the map after gradient steps: what they are told, what an error undoes; nothing else changes."""
 
 import copy
+import signal
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,7 +10,8 @@ import torch
 
 from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data.room import room
-from gsfusion_nb.mapping import make_mapper
+from gsfusion_nb.mapping import FrameUndone, make_mapper
+from gsfusion_nb.mapping import rtg_slam as rtg_slam_module
 from gsfusion_nb.render import footprints
 from gsfusion_nb.seeding import (
     Edit,
@@ -53,8 +55,9 @@ class Base(MapRule):
         return seeds if ctx.frame_number < 3 else seeds[:20]
 
 
-def editing() -> type[MapRule]:
-    """A rule that uses every kind of edit, random numbers, its memory and numbers for each row."""
+def editing(broken: dict[str, int]) -> type[MapRule]:
+    """A rule that uses every kind of edit, random numbers, its memory and numbers for each row; it raises at the call
+    whose number is in ``broken``."""
 
     @dataclass(frozen=True, kw_only=True)
     class edits_all(Base):
@@ -65,6 +68,8 @@ def editing() -> type[MapRule]:
             ctx.gaussians.row_memory("seen").add_(stats.visible)
             n, drawn = len(ctx.map), torch.rand(len(ctx.map), generator=ctx.generator)
             memory["drawn"] = drawn[:3]
+            if memory["calls"] == broken.get("at"):
+                raise RuntimeError("my rule is broken")
             rows = drawn.argsort()
             return Edit(
                 rates={"xyz_W": (drawn > 0.1).float()},
@@ -87,8 +92,36 @@ def state_of(mapper: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
+def test_an_error_after_a_step_undoes_the_frame_and_it_can_be_given_again(system, frames, same):
+    """In the second call of a frame in the middle: what the first call did to the map is undone, too."""
+    calls = {}
+    counted = make_mapper(settings(system), seeding=editing(calls))
+    per_frame = []
+    for frame in frames:
+        counted.step(frame)
+        per_frame.append(counted.memory.get("calls", 0))
+    two = next(i for i in range(1, len(frames)) if per_frame[i] >= per_frame[i - 1] + 2)
+    calls["at"] = per_frame[two - 1] + 2
+    mapper = make_mapper(settings(system), seeding=editing(calls))
+    for frame in frames[:two]:
+        mapper.step(frame)
+    before = state_of(mapper)
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="my rule is broken"):
+            mapper.step(frames[two])
+        same(before, state_of(mapper))
+    calls["at"] = 0
+    for frame in frames[two:]:
+        mapper.step(frame)
+    same(state_of(counted), state_of(mapper))
+    for _ in zip(mapper.global_optimise(1), range(3), strict=False):
+        pass
+    assert mapper.memory["calls"] > per_frame[-1]
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
 def test_a_resumed_run_goes_on_as_if_it_had_not_stopped(system, frames, same):
-    rule = editing()
+    rule = editing({})
     whole, part = (make_mapper(settings(system), seeding=rule) for _ in range(2))
     for mapper, some in ((whole, frames), (part, frames[:3])):
         for frame in some:
@@ -194,3 +227,41 @@ def test_statistics_of_each_row_are_sums_over_the_steps(frames):
     assert float((seen.visible == told[-1].visible).float().mean()) > 0.95
     restart_statistics(model)
     assert not any(model.memory[name].any() for name in ("times_visible", "image_gradient", "abs_image_gradient"))
+
+
+def stop_in(monkeypatch: pytest.MonkeyPatch, mapper: Any, at: int, act: Any) -> None:
+    """Call ``act`` at the ``at``-th look for a stop."""
+    looks, may_stop = [], mapper.guard.may_stop
+
+    def watched():
+        looks.append(0)
+        if len(looks) == at:
+            act()
+        may_stop()
+
+    monkeypatch.setattr(mapper.guard, "may_stop", watched)
+
+
+@pytest.mark.parametrize("at", [1, 3, 5, 8])
+@pytest.mark.parametrize("kind", ["stop", "Ctrl-C"])
+def test_between_two_gradient_steps_a_frame_can_be_given_up(frames, monkeypatch, at, kind, same):
+    """Also after the window was written back, while keyframes are optimised."""
+    monkeypatch.setattr(rtg_slam_module, "KEYFRAME_DEG", 0.1)
+    mapper, whole = (make_mapper(settings("rtg_slam")) for _ in range(2))
+    for frame in frames:
+        whole.step(frame)
+    for frame in frames[:3]:
+        mapper.step(frame)
+    before = copy.deepcopy(mapper.state_dict())
+    with monkeypatch.context() as patch:
+        if kind == "stop":
+            stop_in(patch, mapper, at, lambda: patch.setattr(mapper.guard, "stop_wanted", lambda: True))
+        else:
+            stop_in(patch, mapper, at, lambda: signal.raise_signal(signal.SIGINT))
+        with pytest.raises(FrameUndone if kind == "stop" else KeyboardInterrupt):
+            mapper.step(frames[3])
+    same(before, mapper.state_dict())
+    for frame in frames[3:]:
+        mapper.step(frame)
+    same(whole.state_dict(), mapper.state_dict())
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

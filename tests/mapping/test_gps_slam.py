@@ -14,6 +14,7 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper
 from gsfusion_nb.mapping.gps_views import ViewRound
+from gsfusion_nb.optim import fit_pose_by_flow
 from gsfusion_nb.render import base_view
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.runs.outputs import score
@@ -107,3 +108,19 @@ def test_holes_are_filled_black_or_without_weight():
     assert views["gaussians"].base.weight[~hole].all()
     nothing = base_view(torch.zeros(8, 12, 3), torch.zeros(8, 12), (8, 12), "filled", 0.1)
     assert not nothing.base.rgb.any()
+
+
+def test_a_disturbed_pose_is_found_again_though_the_surface_has_no_gradient(run):
+    mapper, frame = run.mapper, run.sequence.mapping[12]
+    picture = mapper.render(frame.camera, frame.T_WC).rgb
+    for axis in (0, 1, 5):
+        xi = torch.zeros(6)
+        xi[axis] = 0.01
+        fit = fit_pose_by_flow(mapper.render, frame.camera, picture, frame.T_WC @ se3.exp(xi))
+        assert fit.mse_after < 0.1 * fit.mse_before
+        turned, moved = se3.log(se3.inverse(frame.T_WC) @ fit.T_WC).split(3)[::-1]
+        assert float((turned**2).sum() + (moved**2).sum()) < float((xi**2).sum())
+    still = fit_pose_by_flow(mapper.render, frame.camera, picture, frame.T_WC)
+    assert torch.equal(still.T_WC, frame.T_WC)
+    with pytest.raises(ValueError, match="steps"):
+        fit_pose_by_flow(mapper.render, frame.camera, picture, frame.T_WC, steps=0)

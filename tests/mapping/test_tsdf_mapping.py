@@ -1,6 +1,7 @@
 """Frames that a loop moves, the tracked loop, and landmarks only where they are used."""
 
 import dataclasses
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.files import BadFrameError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
+from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, copy_memory
 from gsfusion_nb.tracking import Correction, loops
 from gsfusion_nb.tracking import back_end as back_end_module
 from gsfusion_nb.tsdf import TsdfVolume, integrate
@@ -82,6 +84,44 @@ def test_a_state_goes_on_with_its_frames(frames):
 
 def test_no_frame_is_kept_that_no_loop_may_move(frames):
     assert len(mapped(frames[:1], {"poses": "tracked", "back_end": False}).fused) == 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remembering(MapRule):
+    """The quadtree's cells, of which it remembers every place, and the poses."""
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """All cells."""
+        seeds = ctx.cells()
+        frame = torch.full((len(seeds),), ctx.frame.index)
+        toward = (ctx.frame.T_WC[:3, 3] - seeds.xyz_W) / 2
+        poses, indices = ctx.frame.T_WC[None], frame[:1]
+        if memory:
+            (old,) = memory["seen"]
+            frame, poses = torch.cat([old["frame_index"], frame]), torch.cat([memory["T_WC"], poses])
+            indices = torch.cat([memory["frame_index"], indices])
+            toward = torch.cat([old["normal_W"], toward])
+        xyz_W = seeds.xyz_W if not memory else torch.cat([old["xyz_W"], seeds.xyz_W])
+        memory["seen"] = [{"xyz_W": xyz_W, "normal_W": toward, "frame_index": frame}]
+        memory.update(T_WC=poses, frame_index=indices)
+        return seeds
+
+
+def test_what_a_rule_remembers_of_the_world_moves_with_the_gaussians(frames):
+    config = gsfusion("room", tracking=TRACKING, tsdf__voxel_size_m=VOXEL_M, optim__lr_xyz=0.0)
+    mapper = GSFusion(config, seeding=Remembering)
+    for frame in frames:
+        mapper.step(frame)
+    (seen,) = mapper.memory["seen"]
+    before = copy_memory(mapper.memory)
+    torch.testing.assert_close(seen["xyz_W"], mapper.gaussians.params.xyz_W)
+    correct(mapper, 2 * VOXEL_M)
+    (seen,) = mapper.memory["seen"]
+    torch.testing.assert_close(seen["xyz_W"], mapper.gaussians.params.xyz_W)
+    assert not torch.equal(seen["xyz_W"], before["seen"][0]["xyz_W"])
+    poses = torch.stack(mapper.localiser.poses)
+    torch.testing.assert_close(mapper.memory["T_WC"], poses)
+    torch.testing.assert_close(seen["xyz_W"] + 2 * seen["normal_W"], poses[seen["frame_index"], :3, 3])
 
 
 def test_gps_slam_looks_at_the_new_volume_from_the_corrected_poses(frames):

@@ -78,9 +78,11 @@ DATA_SETTINGS = ("mapper", "config", "data")
 CHANGES = {
     "gsfusion": [
         (put(*VOLUME, "W", value=filled((0, 3), -1.0)), "W must be at least 0 in every voxel, got -1"),
+        (put("run", "next_position", value=9), "interrupted after 9 frames, but room has 5 now; expected"),
+        (put("run", "timestamps_s", value=lambda x: x[:2]), r"timestamps_s must be \[5\], got \[2\]"),
     ],
     "settings": [
-        (put(*DATA_SETTINGS, "repair", "cx", value=30.0), "room is not as it was"),
+        (put(*DATA_SETTINGS, "repair", "cx", value=30.0), "was mapped with the camera .*, but room"),
         (put("mapper", "config", "seeding", "options", value={"a": 1}), "has no options"),
     ],
 }  # fmt: skip
@@ -182,21 +184,23 @@ def one_less(wall):
 
 
 CHANGES_CHANGED_DATA = {
-    "an image not mapped yet": invert,
-    "a pose": one_digit,
-    "the intrinsics": lambda wall: edit_intrinsics(wall, "fx", 1.01),
-    "a frame more": one_more,
-    "a frame less": one_less,
-    "a held-out image": lambda wall: (wall / "depth/000006.png").write_bytes(b""),
+    "an image not mapped yet": (invert, "rgb/000005.png (changed)"),
+    "a pose": (one_digit, "poses.txt (changed)"),
+    "the intrinsics": (lambda wall: edit_intrinsics(wall, "fx", 1.01), "intrinsics.json (changed)"),
+    "a frame more": (one_more, "poses.txt (changed)"),
+    "a frame less": (one_less, "rgb/000006.png (deleted)"),
+    "a held-out image": (lambda wall: (wall / "depth/000006.png").write_bytes(b""), "depth/000006.png (changed)"),
 }
 
 
 @pytest.mark.parametrize("change", CHANGES_CHANGED_DATA)
-def test_changed_data_are_refused(killed, change):
+def test_changed_data_are_refused_and_named(killed, change):
     folder, wall = killed
-    CHANGES_CHANGED_DATA[change](wall)
-    with pytest.raises(SequenceError):
+    act, named = CHANGES_CHANGED_DATA[change]
+    act(wall)
+    with pytest.raises(SequenceError) as refused:
         resume_mapping(folder, evaluate=False)
+    assert f"{wall}/{named}" in str(refused.value)
 
 
 def test_the_same_data_go_on(killed):

@@ -25,14 +25,10 @@ from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping.localiser import Localiser
 from gsfusion_nb.runs import MappingRun, rescore, run_mapping
 from gsfusion_nb.runs.outputs import score_trajectory
-from gsfusion_nb.runs.scored_views import frames_at, ground_truth_poses, poses_in_map, readable_frames
+from gsfusion_nb.runs.scored_views import frames_in_map, ground_truth_poses, readable_frames
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
-
-
-def in_map(view, found, mapping):
-    return frames_at(view, poses_in_map(view, found, mapping))
 
 
 class Walk:
@@ -76,7 +72,7 @@ def test_damaged_frames_are_left_out(views):
 
 def test_given_poses_stay(views):
     found = localiser("given", {0: MOTION})
-    for frame in in_map(views.mapping, found, views.mapping):
+    for frame in frames_in_map(views.mapping, found, views.mapping):
         assert torch.equal(frame.T_WC, Walk().pose(frame.index))
 
 
@@ -85,14 +81,14 @@ def test_a_mapped_frame_has_its_tracked_pose_and_others_follow_the_nearest(views
     tracked = {i: MOTION @ Walk().pose(i) for i in (0, 1, 3, 5, 8)}
     tracked[8] = tracked[8] @ se3.exp(torch.tensor([0.01, 0.0, 0.0, 0.0, 0.0, 0.0]))  # an error of tracking
     found = localiser("tracked", tracked)
-    for frame in in_map(views.mapping, found, views.mapping):
+    for frame in frames_in_map(views.mapping, found, views.mapping):
         if frame.index in tracked:
             assert torch.equal(frame.T_WC, tracked[frame.index])
-    by_index = {f.index: f.T_WC for f in in_map(views.held_out, found, views.mapping)}
+    by_index = {f.index: f.T_WC for f in frames_in_map(views.held_out, found, views.mapping)}
     assert set(by_index) == {2, 6}
     for i, T_WC in by_index.items():
         torch.testing.assert_close(T_WC, MOTION @ Walk().pose(i), atol=1e-5, rtol=0)
-    late = {f.index: f.T_WC for f in in_map(views.mapping, found, views.mapping)}
+    late = {f.index: f.T_WC for f in frames_in_map(views.mapping, found, views.mapping)}
     expected = tracked[8] @ se3.inverse(Walk().pose(8)) @ Walk().pose(9)  # nearest is 8, with its error
     torch.testing.assert_close(late[9], expected, atol=1e-5, rtol=0)
 
@@ -163,13 +159,16 @@ SETTINGS = {
     "gsfusion": gsfusion(
         "online",
         **DATA,
+        data__align_held_out=True,
         tsdf__voxel_size_m=0.04,
         tsdf__truncation_voxels=4.0,
         sh_degree=1,
         keyframe_min_seeds=20,
     ),
     "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA),
-    "gps_slam": gps_slam("room", data__width=0, data__height=0, **DATA, tsdf__voxel_size_m=0.04),
+    "gps_slam": gps_slam(
+        "room", data__width=0, data__height=0, **DATA, data__align_held_out=True, tsdf__voxel_size_m=0.04
+    ),
 }
 SCORES = ("psnr_", "ssim_", "depth_l1_", "n_views_")
 
@@ -212,6 +211,11 @@ def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog)
     own = {name: value for name, value in json.loads(before)["metrics"].items() if name.startswith(SCORES)}
     assert own["n_views_held_out"] == 2
     assert own["n_views_mapped"] == 6
+    aligned = system != "rtg_slam"
+    assert own.get("n_views_held_out_aligned", 0) == (2 if aligned else 0)
+    assert not aligned or own["psnr_held_out_aligned_db"] >= own["psnr_held_out_db"]
+    assert own.get("n_views_held_out_fitted", 0) == (2 if aligned else 0)
+    assert not aligned or own["psnr_held_out_fitted_db"] >= own["psnr_held_out_aligned_db"] - 0.05
     again = rescore(folder)
     assert {name: again[name] for name in own} == own
     assert (folder / "metrics.json").read_text() == before
@@ -220,7 +224,7 @@ def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog)
 
 
 def test_views_between_fitted_exposures_are_shown_with_theirs_and_scored_again_alike(tmp_path):
-    config = replace(SETTINGS["gsfusion"], keyframe_every=1, optim__fit_exposure=True)
+    config = replace(SETTINGS["gsfusion"], keyframe_every=1, optim__fit_exposure=True, data__align_held_out=False)
     config = replace(config, optim__global_iterations=3)
     reader = {**ROOM, "exposure_stops": 1.0}
     run = run_mapping("room", config, folder=tmp_path / "run", **reader)
@@ -231,7 +235,7 @@ def test_views_between_fitted_exposures_are_shown_with_theirs_and_scored_again_a
     assert {name: again[name] for name in own} == own
     path = run.folder / "views.json"
     path.write_text(path.read_text().replace('"gain": [', '"gain": [1.0, '))
-    with pytest.raises(ValueError, match=r"views.json is damaged"):
+    with pytest.raises(ValueError, match=r"views.json is damaged: gain of frame \d+ must"):
         rescore(run.folder)
 
 
@@ -270,7 +274,7 @@ def test_numbers_that_differ_are_named(scored_run, caplog):
 def test_a_run_without_its_views_is_refused(scored_run):
     folder, _ = scored_run("gsfusion", "given")
     (folder / "views.json").unlink()
-    with pytest.raises(FileNotFoundError, match=r"views\.json"):
+    with pytest.raises(FileNotFoundError, match=r"views.json does not exist, so the views to score"):
         rescore(folder)
     (folder / "views.json").write_text('{"mapped": [{"frame": 0}]}')
     with pytest.raises(ValueError, match=r"views.json is damaged: KeyError 'T_WC'"):

@@ -4,13 +4,16 @@ import importlib
 import json
 import os
 import signal
+from typing import Any
 
 import pytest
+import torch
 
-from gsfusion_nb.config import gsfusion
+from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.data import apply_options
-from gsfusion_nb.mapping import GSFusion
-from gsfusion_nb.runs import CheckpointEvery, map_sequence, outputs, resume_mapping, run_mapping
+from gsfusion_nb.mapping import GSFusion, make_mapper
+from gsfusion_nb.mapping.step import FrameGuard
+from gsfusion_nb.runs import CheckpointEvery, StreamRun, map_sequence, outputs, resume_mapping, run_mapping
 from gsfusion_nb.runs.run_folder import Autosave, is_complete
 
 
@@ -108,6 +111,37 @@ def test_a_folder_that_may_not_be_written_is_named_before_anything_is_mapped(tmp
     assert str(tmp_path / "closed" / "out") in text
 
 
+@pytest.mark.parametrize("at_frame", [0, 3])
+def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes(
+    tmp_path, small, monkeypatch, at_frame
+):
+    """RTG-SLAM takes many steps for a frame. The first frame is mapped to its end, so that there is a map."""
+    data: dict[str, Any] = {"data__width": 32, "data__height": 24, "data__stop": 5, "data__hold_out_every": 0}
+    config = rtg_slam("room", window__every_frames=1, window__iterations=6, final__passes=1, mesh_voxel_m=0.1, **data)
+    may_stop, looks = FrameGuard.may_stop, []
+
+    def stopped(guard):
+        looks.append(guard._index)
+        if looks.count(at_frame) == 3:
+            signal.raise_signal(signal.SIGTERM)
+        may_stop(guard)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FrameGuard, "may_stop", stopped)
+        run = run_mapping("room", config, folder=tmp_path / "out", evaluate=False)
+    assert run.run.status == "interrupted"
+    assert looks.count(at_frame) == (3 if at_frame else 7)
+    assert len(run.run.steps) == run.run.mapper.n_frames == run.run.next_position == max(at_frame, 1)
+    assert (run.folder / "checkpoint").is_dir()
+    assert not run.run.mapper.guard.stop_wanted()
+    assert run.run.mapper.guard.half_mapped == ""
+    if at_frame:
+        whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False)
+        again = resume_mapping(run.folder, evaluate=False)
+        assert again.run.status == "complete"
+        assert again.run.hashes == whole.run.hashes
+
+
 def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(tmp_path, small, config, monkeypatch):
     score, write_maps, seen = outputs.score, outputs.write_maps, []
 
@@ -127,6 +161,22 @@ def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(tmp_path,
     assert run.run.status == "interrupted"
     assert seen == [["000001.constants", "000001.json", "000001.state"]]
     monkeypatch.undo()
+
+
+def test_a_stream_that_was_killed_keeps_its_map(tmp_path, small_room, config):
+    frames = [small_room[i] for i in range(10)]
+    run = StreamRun(frames, make_mapper(config))
+    list(run.online())
+    run.save_checkpoint(tmp_path)  # and then the process is killed
+    after = resume_mapping(tmp_path)
+    assert after.run.status == "complete"
+    assert after.mapper.n_frames == len(run.steps) == 8
+    assert len(after.run.global_losses) == 2
+    assert after.metrics["n_views_held_out"] == 2
+    assert after.run.warnings == ["the stream was interrupted after 8 frames, when its process was killed"]
+    assert {"gaussians.ply", "mesh.ply", "report.html"} <= {p.name for p in tmp_path.iterdir()}
+    list(run.optimise())
+    assert torch.equal(run.mapper.gaussians.params.sh, after.mapper.gaussians.params.sh)
 
 
 class Clock:
@@ -152,7 +202,7 @@ def test_checkpoints_come_by_time_or_by_frames_and_take_a_small_share_of_the_tim
     autosave = Autosave(mapper, save, CheckpointEvery(seconds=0, frames=4), clock)
     for _ in range(9):
         autosave()
-    assert len(saved) == 2
+    assert len(saved) == autosave.n_saved == 2
     for _ in range(9):
         Autosave(mapper, save, CheckpointEvery(seconds=0), clock)()
     assert len(saved) == 2

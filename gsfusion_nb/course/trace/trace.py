@@ -213,7 +213,8 @@ class Trace:
     so pick before mapping to follow something through a long run. Where a Gaussian comes from and when it left the map
     is known for all of them (about 60 bytes each).
 
-    A trace is not saved in checkpoints; a resumed mapper needs a new one.
+    What was computed for a frame that is undone stays in the trace. A trace is not saved in checkpoints; a resumed
+    mapper needs a new one.
 
     Args:
         mapper: Of other systems than GSFusion, frames that are fused and seeds are recorded, and no steps.
