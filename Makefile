@@ -1,4 +1,4 @@
-# make demo | make lab | make test | make campaign | make measured | make chapters | make student | make teacher | make quiz | make slides | make book | make wheel: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed. What only tests and development need is installed by make dev, which make test, lint, format and campaign do first.
+# make demo | make lab | make test | make campaign | make measured | make chapters | make student | make quiz | make slides | make book | make wheel: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed. What only tests and development need is installed by make dev, which make test, lint, format and campaign do first.
 PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see docs/install.md.
@@ -14,7 +14,7 @@ DEV_STAMP := $(VENV)/.dev-done
 # Each process would compile all sources again; the tests start many.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup dev demo test campaign measured chapters lint format lab student teacher quiz slides book wheel clean
+.PHONY: setup dev demo test campaign measured chapters lint format lab student quiz slides book wheel clean
 
 setup: $(STAMP)
 
@@ -82,12 +82,9 @@ lab: setup
 	@$(BIN)/python -m gsfusion_nb.course.copies notebooks $(COURSE) --learner
 	$(BIN)/jupyter lab --ServerApp.root_dir="$(CURDIR)" --LabApp.default_url=/lab/tree/$(COURSE)/00_quickstart.ipynb $(LAB)
 
-# Copies of the notebooks to hand out, without solutions and outputs; and the solved ones.
+# Copies of the notebooks to hand out, without solutions and outputs.
 student: setup
 	$(BIN)/python -m gsfusion_nb.course.copies notebooks runs/student
-
-teacher: setup
-	$(BIN)/python -m gsfusion_nb.course.copies notebooks runs/teacher --teacher
 
 # The bank of questions, for lecturers: docs/teaching/quiz.md.
 quiz: setup
@@ -98,7 +95,7 @@ slides: setup
 	$(BIN)/python tools/slides.py docs/teaching/slides notebooks runs/slides
 
 # The notebooks and the documentation as a web site in runs/book: docs/book.md. Needs the network only when the extra
-# "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to Binder and Colab.
+# "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to source files.
 REPOSITORY ?=
 book: setup
 	@PYTHONPATH=tools $(BIN)/python -m book --installed || $(BIN)/python -m pip install --quiet --editable ".[book]"

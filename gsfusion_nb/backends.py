@@ -139,15 +139,6 @@ def replaceable() -> frozenset[str]:
     return frozenset(_OPS) | frozenset(_PIECES)
 
 
-def plain_function(name: str) -> Callable:
-    """The plain function of an operation or piece, as it is written in the library.
-
-    Raises:
-        KeyError: there is none of this name.
-    """
-    return _OPS[name] if name in _OPS else _PIECES[name]
-
-
 def operations() -> tuple[str, ...]:
     """Names of the operations that some backend besides the reference offers, among those declared so far."""
     return tuple(sorted(name for name in _OPS if offered(name)))

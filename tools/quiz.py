@@ -106,7 +106,6 @@ NOT_OFFERED: dict[str, tuple[str, ...]] = {
     "map_frame-1": ("the new Gaussians are in the map when the frame is optimised",),
     "disc_hit-4": ("beyond 60 degrees the depth of the centre is used",),
     "fuse-1": ("a Gaussian never seen does not change",),
-    "fuse-2": ("a Gaussian never seen does not change",),
     "silhouette_rule-3": ("where the map is opaque already, nothing is seeded",),
     "pose_shift-2": ("shifts of up to reach frames are tried",),
     "tell_apart-1": (

@@ -39,7 +39,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb bench [GROUP]        measure the speed of operations and mapping
   gsfusion-nb course DIR           copy the notebooks of the course to a folder
   gsfusion-nb course               show how far you are in the notebooks
-  gsfusion-nb course export        the chapters as assignments for nbgrader or Otter
+  gsfusion-nb course export        the chapters as assignments for nbgrader
   gsfusion-nb grade SUBMISSIONS    mark the notebooks of a class, each in a process
                                    of its own
   gsfusion-nb doctor               show what is installed, what works, and what to

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -34,24 +34,19 @@ class CourseOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Write the solved chapters as assignments for nbgrader or Otter-Grader: points, solution cells, tests."""
+    """Write the solved chapters as assignments for nbgrader: points, solution cells, tests."""
 
-    to: Literal["nbgrader", "otter"]
-    """nbgrader: a course folder, for nbgrader generate_assignment. otter: notebooks for otter assign."""
     out: Path
-    """New or empty folder."""
+    """New or empty folder: the course folder of nbgrader generate_assignment."""
     chapters: Annotated[tuple[int, ...], tyro.conf.Positional] = ()
     """Numbers of chapters. Default: all."""
     notebooks: Path = Path("notebooks")
     """Folder of the solved chapters."""
-    points: Path | None = None
-    """TOML file with points: [difficulty] 1 = 2.0, or [exercise] psnr = 4."""
 
 
 def export(arguments: list[str]) -> int:
     """The command ``gsfusion-nb course export``."""
     from ..course.grading.export import export_course
-    from ..course.grading.marks import Points, read_points
 
     options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
     found = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
@@ -59,8 +54,7 @@ def export(arguments: list[str]) -> int:
     missing = set(options.chapters) - {int(p.name[:2]) for p in chosen}
     if missing or not chosen:
         raise ValueError(f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}")
-    points = read_points(options.points) if options.points else Points()
-    for path in export_course(chosen, options.out, options.to, points=points):
+    for path in export_course(chosen, options.out):
         print(f"wrote {path}")
     return 0
 

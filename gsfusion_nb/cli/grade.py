@@ -24,9 +24,6 @@ class GradeOptions:
     """Chapters to mark. Default: those of which a submission has a function."""
     exercises: tuple[str, ...] = ()
     """Exercises to mark, by name; with chapters, in addition."""
-    points: Path | None = None
-    """TOML file with points: [difficulty] 1 = 2.0, or [exercise] psnr = 4. Default: 1, 2, 3, 5 and 8 points for the
-    difficulties 1 to 5."""
     seconds: float = 120.0
     """For all calls of a function, on the clock; one call may take as long as in a notebook."""
     memory_mb: int = 4096
@@ -37,14 +34,13 @@ class GradeOptions:
 
 def run(arguments: list[str]) -> int:
     """The command. Exit status 0: the table is written, whatever the marks."""
-    from ..course.grading.marks import Points, exercises_of, grade, read_points, write_marks
+    from ..course.grading.marks import exercises_of, grade, write_marks
     from ..course.grading.sandbox import Limits, why_no_bubblewrap
     from ..course.grading.submission import find_submissions
 
     options = parse_options(GradeOptions, prog="gsfusion-nb grade", arguments=arguments)
     if options.seconds <= 0 or options.memory_mb <= 0:
         raise ValueError("--seconds and --memory-mb must be positive")
-    points = read_points(options.points) if options.points else Points()
     submissions = find_submissions(options.submissions)
     if not submissions:
         raise ValueError("no submissions; name notebooks, .py files, or folders of them")
@@ -55,7 +51,7 @@ def run(arguments: list[str]) -> int:
             f"{why_no_bubblewrap()}: a function may change your files and use the network. See docs/teaching/grading.md"
         )
     limits = Limits(seconds=options.seconds, memory_mb=options.memory_mb)
-    marks = grade(submissions, names, points=points, limits=limits, jobs=options.jobs, tell=print)
+    marks = grade(submissions, names, limits=limits, jobs=options.jobs, tell=print)
     write_marks(options.out, marks)
     print(f"Marks: {options.out}")
     return 0

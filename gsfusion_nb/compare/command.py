@@ -1,5 +1,6 @@
 """``gsfusion-nb lab``: a comparison from a file, with all its outputs in a folder."""
 
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,15 +12,18 @@ import tyro
 from ..backends import from_environment, use_backend
 from ..files import write_file
 from ..runs.run_folder import RunFolder
-from .executors import executor
+from .executors import NoWorkerError, executor
 from .map_scene import Entry
 from .outputs import Results, Table
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec
 from .table_file import EXAMPLE, read_table
+from .tune import is_tuned
 
 RENEW_S = 30.0
 """Seconds between two writings of the tables while runs are done."""
+TUNED_RUNS = 4.0
+"""Work of a run whose size is tuned, in runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +37,9 @@ class WhereOptions:
     dask: str = ""
     """Address of the scheduler of a Dask cluster, such as tcp://host:8786, or "local" for one of --jobs workers on this
     machine. The workers must find the data under the same paths. Needs the extra "cluster"."""
+    cache: bool = True
+    """Use results of earlier commands from the cache, whatever their --out, and keep new ones there. With --no-cache
+    they are kept in the folder of --out."""
     backend: str = field(default_factory=from_environment)
     """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
 
@@ -41,8 +48,8 @@ class WhereOptions:
 class LabOptions(WhereOptions):
     """Compare seeding rules: rules x scenes x seeds x budgets, as a file says.
 
-    Writes runs.csv, table.md, table.json, a figure and a page. After Ctrl-C the same command continues; no run is
-    computed twice, also in later commands."""
+    Writes runs.csv, table.md, table.tex, table.json, a figure and a page. After Ctrl-C the same command continues; no
+    run is computed twice, also in later commands."""
 
     table: Annotated[str, tyro.conf.Positional] = ""
     """The file that describes the comparison (TOML)."""
@@ -79,18 +86,25 @@ def run_and_write(
     """
     table, results = table or Table(), dict[int, RunResult]()
     with RunFolder(folder):
-        store, began, interrupted = ResultStore(), time.perf_counter(), False
+        store = ResultStore(None if options.cache else folder)
+        began, interrupted, lost, work = time.perf_counter(), False, "", 0.0
         renewed_s = began
+        todo = {i: TUNED_RUNS if is_tuned(spec) else 1.0 for i, spec in enumerate(specs)}
         try:
             with executor(options.jobs, options.dask) as where:
                 for i, result in run_all([Entry(spec=spec) for spec in specs], store, where):
                     results[i] = result
-                    print(f"[{len(results):3d}/{len(specs)}] {describe(result)}", flush=True)
+                    work += 0.0 if result.copied_from else todo[i]
+                    del todo[i]
+                    left = _left(sum(todo.values(), 0.0), work, time.perf_counter() - began)
+                    print(f"[{len(results):3d}/{len(specs)}] {describe(result)}{left}", flush=True)
                     if len(results) < len(specs) and time.perf_counter() - renewed_s > RENEW_S:
                         Results(runs=_in_order(results), about=table, store=store).write(folder, pictures=False)
                         renewed_s = time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True
+        except NoWorkerError as e:
+            lost = f"error: {e}"
         done = _in_order(results)
         if done:
             Results(runs=done, about=table, store=store).write(folder)
@@ -101,7 +115,17 @@ def run_and_write(
     if interrupted:
         print("Interrupted: the same command continues.")
         return 130, done
-    return 1 if failed else 0, done
+    if lost:
+        print(lost, file=sys.stderr)
+    return 1 if failed or lost else 0, done
+
+
+def _left(work: float, done: float, elapsed_s: float) -> str:
+    """How long the rest will take, judged by what was computed so far; empty before that, and at the end."""
+    if not (work and done):
+        return ""
+    minutes = elapsed_s * work / done / 60
+    return f"; about {60 * minutes:.0f} s left" if minutes < 1.5 else f"; about {minutes:.0f} min left"
 
 
 def describe(result: RunResult) -> str:
@@ -111,7 +135,8 @@ def describe(result: RunResult) -> str:
     if result.status == "failed":
         return f"{name}: failed: {result.reason}"
     psnr = f"{numbers['psnr_held_out_db']:.2f} dB held out, " if "psnr_held_out_db" in numbers else ""
-    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps"
+    copied = ", copied from the cache" if result.copied_from else ""
+    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps{copied}"
 
 
 def _in_order(results: dict[int, RunResult]) -> list[RunResult]:

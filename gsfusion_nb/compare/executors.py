@@ -10,6 +10,7 @@ import pickle
 import signal
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -111,6 +112,9 @@ def _pickled(rule: SeedingRule | bytes) -> bytes:
 
 CONNECT_S = 10.0
 """How long a Dask scheduler may take to answer, seconds."""
+NO_WORKER_S = 60.0
+"""How long a Dask cluster may be without a worker before a comparison ends, seconds."""
+_LOOK_S = 1.0
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -192,14 +196,31 @@ def executor(jobs: int = 1, dask: str = "") -> Iterator[Executor]:
         yield InProcess()
 
 
+class NoWorkerError(RuntimeError):
+    """A Dask cluster has no worker."""
+
+
 def on_dask(client: Any) -> OnFutures:
-    """The cluster of a Dask client."""
+    """The cluster of a Dask client; ``get`` raises ``NoWorkerError`` if it has no worker for ``NO_WORKER_S``."""
     from distributed import wait
 
     def submit(task: Task) -> Any:
         return client.submit(do_task, task, pure=False, priority=int(task.kind == "run"))
 
-    return OnFutures(submit, wait)
+    def wait_for_workers_too(futures: list[Any], return_when: str) -> Any:
+        alone_since = time.monotonic()
+        while True:
+            with contextlib.suppress(TimeoutError):
+                return wait(futures, timeout=_LOOK_S, return_when=return_when)
+            if client.scheduler_info()["workers"]:
+                alone_since = time.monotonic()
+            elif time.monotonic() - alone_since > NO_WORKER_S:
+                raise NoWorkerError(
+                    f"the Dask cluster has had no worker for {NO_WORKER_S:g} s: start one "
+                    f"(dask worker {client.scheduler.address}) and repeat the command; finished runs are kept"
+                )
+
+    return OnFutures(submit, wait_for_workers_too)
 
 
 def threads_of_each(jobs: int) -> dict[str, str]:
@@ -248,8 +269,10 @@ def _client(jobs: int, address: str) -> Iterator[Any]:
                                     dashboard_address=cast(Any, None))  # fmt: skip
     else:
         cluster = contextlib.nullcontext(address)
-    try:
-        with cluster as place, Client(place, timeout=CONNECT_S) as client:
+    with cluster as place:
+        try:
+            client = Client(place, timeout=CONNECT_S)
+        except OSError as e:
+            raise ValueError(f"no Dask scheduler answers at {address}: {e}") from None
+        with client:
             yield client
-    except OSError as e:
-        raise ValueError(f"no Dask scheduler answers at {address}: {e}") from None

@@ -22,7 +22,7 @@ from .run_all import ResultStore
 from .schedule import flat_settings
 from .spec import RunResult, RunSpec, package_fingerprint
 from .statistics import COLUMNS, Group, Summary, against_reference, by_budget, group_runs, standings, summarise
-from .tables import ResultTable, all_tables, as_markdown, failures
+from .tables import ResultTable, all_tables, as_latex, as_markdown, failures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,7 +87,7 @@ class Results:
         return figure_of(self.runs)
 
     def write(self, folder: str | Path, *, pictures: bool = True) -> list[Path]:
-        """Write ``runs.csv``, ``table.md``, ``table.json``, ``page.html``, and the Pareto plot as PDF and PNG.
+        """Write ``runs.csv``, ``table.md``, ``table.tex``, ``table.json``, ``page.html`` and the Pareto plot.
 
         Existing files are replaced, each completely or not at all; so it can be called again after every run.
 
@@ -102,6 +102,7 @@ class Results:
         texts = {
             "runs.csv": as_csv(self.runs),
             "table.md": self._as_markdown(),
+            "table.tex": self._as_latex(),
             "table.json": json.dumps(self.as_json(), indent=1, allow_nan=False),
         }
         if pictures:
@@ -117,6 +118,8 @@ class Results:
     def _as_markdown(self) -> str:
         """All tables, the comparisons with the reference, and the runs that failed."""
         parts = ["# Results", *map(as_markdown, self.tables())]
+        if copied := sum(bool(r.copied_from) for r in self.runs):
+            parts.append(f"{copied} of {len(self.runs)} runs were copied from the cache: copied_from in runs.csv.")
         for budget in dict.fromkeys(str(r.spec.budget) for r in self.runs):
             if tests := against_reference(self.runs, budget, self.about.reference):
                 parts.append("\n".join([f"### More than noise? {budget}", "", *(f"- {test}" for test in tests)]))
@@ -124,6 +127,13 @@ class Results:
             lines = [f"- {label}, {scene}, {budget}, seed {seed}: {why}" for label, scene, budget, seed, why in lost]
             parts.append("\n".join(["### Runs that failed", "", *lines]))
         return "\n\n".join(parts) + "\n"
+
+    def _as_latex(self) -> str:
+        """For each budget the table with the scenes as columns, or that of the only scene."""
+        tables = self.tables()
+        several = {t.budget for t in tables if not t.scene}
+        wanted = [as_latex(t) for t in tables if not t.scene or t.budget not in several]
+        return "\n\n".join(["% Needs the packages booktabs and graphicx.", *wanted]) + "\n"
 
     def as_json(self) -> dict[str, Any]:
         """The numbers of the tables in their stored units, without rounding, as plain values, and where they come from.
@@ -214,6 +224,7 @@ def _row(result: RunResult) -> dict[str, Any]:
         "budget_gaussians": spec.budget.gaussians, "budget_tolerance": spec.budget.tolerance, "status": result.status,
         "reason": result.reason,
         "notes": "; ".join(result.notes), "key": result.key, "map_hash": result.map_hash, "data_hash": result.data_hash,
+        "copied_from": result.copied_from,
         **{f"metric.{name}": value for name, value in result.metrics.items()},
         **{f"tuned.{name}": value for name, value in result.tuned.items()},
         **{f"setting.{name}": value for name, value in settings.items()},

@@ -11,7 +11,6 @@ import numpy as np
 
 from ..data import BadFrameError
 from ..data.recorded.images import decode_rgb, read_image_bytes
-from ..drawing.curves import figure_svg
 from ..drawing.page import ColourBar, PageGraph, fill
 from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, error_map, fit_width
 from .pareto import figure_of
@@ -72,14 +71,14 @@ def page_html(folder: Path | str, results: Sequence[RunResult], tables: Sequence
         results: All runs, also those that failed.
         tables: Of these runs.
     """
-    groups, pictures = group_runs(results), {}
+    groups, pictures, copied = group_runs(results), {}, sum(bool(run.copied_from) for run in results)
     shots = [_shots(group, Path(folder), pictures) for group in groups]
     data = {"pictures": list(pictures), "shots": shots, "sentences": _pair_sentences(results)}
-    graph = PageGraph("Quality and cost", figure_svg(figure_of(results), "Pareto plot: quality over cost"))
+    graph = PageGraph("Quality and cost", figure_of(results))
     return fill(
         "lab.html",
         title="Seeding lab",
-        subtitle=f"{len(results)} runs",
+        subtitle=f"{len(results)} runs" + (f", {copied} of them copied from the cache" if copied else ""),
         scenes=list(dict.fromkeys(g.scene for g in groups)),
         budgets=list(dict.fromkeys(g.budget for g in groups)),
         labels=list(dict.fromkeys(g.label for g in groups)),

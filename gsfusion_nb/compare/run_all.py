@@ -41,7 +41,9 @@ class ResultStore:
         except (ValueError, OSError) as e:  # damaged, or from another version
             log.warning("%s is not used: %s", path, e)
             return None
-        return None if found is None or found.status != "done" else dataclasses.replace(found, spec=spec)
+        if found is None or found.status != "done":
+            return None
+        return dataclasses.replace(found, spec=spec, copied_from=str(self.folder))
 
     def keep(self, result: RunResult) -> None:
         """Write a result."""

@@ -296,6 +296,8 @@ class RunResult:
     """Source code of the rule."""
     versions: Mapping[str, str] = field(default_factory=dict)
     """Versions of the programs, and the machine."""
+    copied_from: str = ""
+    """Folder of the store that had this result of an earlier command; empty for one that was computed now."""
     pictures: Mapping[str, str] = field(default_factory=dict)
     """Name of a picture -> its file, relative to the output folder: "held_out 4" is the render of frame 4, which was
     held out, "truth 4" its recorded image."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..drawing.page import fill
 from ..types import Camera
-from .learner_code import CodeInUse, Guard, argument_copy, line_of_error, plain_value
+from .learner_code import CodeInUse, argument_copy, line_of_error, run_learner
 from .learner_code import Failed as Failed
 
 
@@ -26,8 +26,8 @@ class Attempt:
     NumPy arrays come back as tensors, NumPy numbers as Python's, and what a generator yields as a list.
     """
 
-    def __init__(self, function: Callable[..., Any], guard: Guard | None = None):
-        self.function, self.guard = function, guard
+    def __init__(self, function: Callable[..., Any]):
+        self.function = function
         self.words = ""
         self.returned: Any = None
         """What the last call returned."""
@@ -65,7 +65,7 @@ class Attempt:
 
     def _run(self, function: Callable[..., Any], args: Sequence[Any], kwargs: dict[str, Any], on: str) -> Any:
         try:
-            result = self._guarded(function, args, kwargs)
+            result = run_learner(function, args, kwargs)
         except NotImplementedError:
             raise NotWritten from None
         except Failed as e:  # it broke a rule that holds for every exercise
@@ -78,18 +78,13 @@ class Attempt:
             raise NotWritten
         return result
 
-    def _guarded(self, function: Callable[..., Any], args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
-        if self.guard is None:
-            return plain_value(function(*args, **kwargs))
-        return self.guard.run(function, args, kwargs)
-
     @property
     def watched(self) -> Callable[..., Any]:
         """The function with its signature, for a check that calls it itself."""
 
         @functools.wraps(self.function)
         def call(*args: Any, **kwargs: Any) -> Any:
-            return self._guarded(self.function, args, kwargs)
+            return run_learner(self.function, args, kwargs)
 
         return call
 

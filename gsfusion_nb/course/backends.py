@@ -14,10 +14,6 @@ def _speedup_of_the_stage(seconds: dict[str, float], stage: str, factor: float) 
     return factor
 
 
-def _speedup_by_share(seconds: dict[str, float], stage: str, factor: float) -> float:
-    return 1 + (factor - 1) * seconds[stage] / sum(seconds.values())
-
-
 @exercise(
     chapter=10, difficulty=1, minutes=5, solution=_speedup,
     hints=(
@@ -26,7 +22,6 @@ def _speedup_by_share(seconds: dict[str, float], stage: str, factor: float) -> f
     ),
     wrong=(
         Wrong(_speedup_of_the_stage, says="the other stages take as long as before"),
-        Wrong(_speedup_by_share, says="the other stages take as long as before"),
     ),
 )  # fmt: skip
 def overall_speedup(attempt: Attempt) -> None:
@@ -62,14 +57,6 @@ def _attainable_peak(intensity: float, peak_gflops: float, gb_per_s: float) -> f
     return peak_gflops
 
 
-def _attainable_upside_down(intensity: float, peak_gflops: float, gb_per_s: float) -> float:
-    return min(peak_gflops, gb_per_s / intensity)
-
-
-def _attainable_sum(intensity: float, peak_gflops: float, gb_per_s: float) -> float:
-    return 1 / (1 / peak_gflops + 1 / (intensity * gb_per_s))
-
-
 @exercise(
     chapter=10, difficulty=1, minutes=5, solution=_attainable,
     hints=(
@@ -78,8 +65,6 @@ def _attainable_sum(intensity: float, peak_gflops: float, gb_per_s: float) -> fl
     ),
     wrong=(
         Wrong(_attainable_peak, says="memory limits a kernel of low intensity"),
-        Wrong(_attainable_upside_down, says="memory limits a kernel of low intensity"),
-        Wrong(_attainable_sum, says="memory limits a kernel of low intensity"),
     ),
 )  # fmt: skip
 def attainable_gflops(attempt: Attempt) -> None:

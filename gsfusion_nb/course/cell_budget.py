@@ -52,16 +52,6 @@ def _budget_by_mean(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
     return _cut_worst(rgb_u8, n_cells, lambda x, y, w, h: error(x, y, w, h) / (w * h))
 
 
-def _budget_by_size(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
-    cells = [(0, 0, rgb_u8.shape[1], rgb_u8.shape[0])]
-    while len(cells) + 3 <= n_cells:
-        cells.sort(key=lambda c: c[2] * c[3])
-        x, y, w, h = cells.pop()
-        a, b = w // 2, h // 2
-        cells += [(x, y, a, b), (x, y + b, a, h - b), (x + a, y, w - a, b), (x + a, y + b, w - a, h - b)]
-    return cells
-
-
 def _budget_overshooting(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
     return _budget_cells(rgb_u8, n_cells + 3)
 
@@ -79,7 +69,6 @@ def _budget_overshooting(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
     ),
     wrong=(
         Wrong(_budget_by_mean, says="sum of errors"),
-        Wrong(_budget_by_size, says="sum of errors"),
         Wrong(_budget_overshooting, says="at most n_cells"),
     ),
 )  # fmt: skip

@@ -1,6 +1,6 @@
-"""Copies of the notebooks: for one learner to work in, for students to hand in, for teachers; and their documentation.
+"""Copies of the notebooks: for one learner to work in, for students to hand in; and their documentation.
 
-``python -m gsfusion_nb.course.copies SRC DST [--teacher | --learner]``. In a code cell everything from the line
+``python -m gsfusion_nb.course.copies SRC DST [--learner]``. In a code cell everything from the line
 ``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell from ``<!-- BEGIN SOLUTION -->`` to
 ``<!-- END SOLUTION -->``. A cell that would be empty without it is left out. A student's copy has no outputs, because
 they would show what the reader is asked to predict. A learner's copy has the stored pictures of what to expect.
@@ -13,7 +13,6 @@ import copy
 import json
 import logging
 import re
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -192,13 +191,12 @@ def hand_out(source: Path, target: Path, pages: Mapping[str, bytes] | None = Non
     return written
 
 
-def copy_for_class(source: Path, target: Path, *, solutions: bool = False) -> list[Path]:
-    """Write the notebooks of a folder, or one notebook, into the folder ``target``. Returns the files written.
+def copy_for_class(source: Path, target: Path) -> list[Path]:
+    """Write a student's copy of the notebooks of a folder, or of one notebook. Returns the files written.
 
     Args:
         source: A folder of notebooks, or one notebook.
         target: Created if it does not exist. Notebooks of the same name in it are replaced.
-        solutions: Keep solutions and outputs: an exact copy.
 
     Raises:
         ValueError: no notebook at ``source``, ``target`` is the source's folder, or unbalanced markers.
@@ -206,10 +204,7 @@ def copy_for_class(source: Path, target: Path, *, solutions: bool = False) -> li
     written = []
     for path in _notebooks(source, target):
         written.append(target / path.name)
-        if solutions:
-            shutil.copyfile(path, written[-1])
-        else:
-            write_file(written[-1], _as_text(path, without_solutions))
+        write_file(written[-1], _as_text(path, without_solutions))
     return written
 
 
@@ -232,20 +227,15 @@ def _as_text(path: Path, change: Any) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description="Copy the course's notebooks, without solutions or with them.")
+    parser = argparse.ArgumentParser(description="Copy the course's notebooks, without solutions.")
     parser.add_argument("source", type=Path, help="folder of notebooks, or one notebook")
     parser.add_argument("target", type=Path, help="folder for the copies")
-    kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--teacher", action="store_true", help="keep solutions and outputs")
-    kind.add_argument(
+    parser.add_argument(
         "--learner", action="store_true", help="keep the outputs, and whatever was changed in the folder for the copies"
     )
     options = parser.parse_args(arguments)
     try:
-        if options.learner:
-            written = hand_out(options.source, options.target)
-        else:
-            written = copy_for_class(options.source, options.target, solutions=options.teacher)
+        written = (hand_out if options.learner else copy_for_class)(options.source, options.target)
     except ValueError as e:
         parser.error(str(e))
     for path in written:

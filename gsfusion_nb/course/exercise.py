@@ -29,8 +29,7 @@ The judge returns nothing and raises ``Failed`` (through ``close``, ``holds``, `
 does not hold; put the property that explains most mistakes first. Tests run every judge on its solution, which must
 pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
 
-A judged function runs in a thread of its own (``learner_code.py``), for at most ``limit_s``. One that calls the
-solution, the operation that it becomes, or one of ``ready_made`` is refused.
+A judged function runs with a limit of time (``learner_code.py``).
 
 A function that passes is kept (``course.mine``). ``becomes=Becomes("lift", adapter)`` says which operation of the
 library it replaces under the backend ``mine``; ``adapter(yours, *arguments of the operation)`` calls it.
@@ -47,50 +46,28 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import torch
-from markupsafe import Markup
-
-from ..backends import plain_function, use_backend
+from ..backends import use_backend
 from .attempt import Attempt as Attempt
 from .attempt import Failed as Failed
 from .attempt import NotWritten, Verdict, describe
 from .attempt import close as close
 from .attempt import holds as holds
 from .attempt import unpack as unpack
-from .learner_code import LIBRARY_LIMIT_S as LIBRARY_LIMIT_S
-from .learner_code import LIMIT_S, Guard, keep_source, reference_function, with_reference
+from .learner_code import keep_source, with_reference
 from .learner_operation import Becomes as Becomes
 from .learner_operation import Yours as Yours
 from .learner_operation import remember
-from .progress import count, forgiving, note, now, read_section
+from .progress import forgiving, note, now, read_section
 
 DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 
 _EXERCISES: dict[str, "Exercise"] = {}
 
-AUTOGRAD = (torch.autograd.grad, torch.autograd.backward)
-"""What does an exercise whose gradient is to be written by hand."""
-
 
 class Said(str):
-    """A sentence, which a notebook shows without quotation marks."""
+    """A text, which a notebook shows without quotation marks."""
 
     __repr__ = str.__str__
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Source code of a solution, as a notebook shows it."""
-
-    exercise: str
-    source: str
-
-    def __repr__(self) -> str:
-        return self.source
-
-    def _repr_html_(self) -> str:
-        block = "<details class='gsnb-solution' open><summary>A solution of {}</summary><pre>{}</pre></details>"
-        return Markup(block).format(self.exercise, self.source)
 
 
 def source_of(exercise: str, function: Callable[..., Any], without: Callable[..., Any] | None = None) -> str:
@@ -137,8 +114,6 @@ class Exercise:
     _solution: Callable[..., Any]
     wrong: tuple[Wrong, ...]
     becomes: Becomes | None = None
-    ready_made: tuple[Callable[..., Any], ...] = ()
-    limit_s: float = LIMIT_S
     hints_given: int = 0
     tries: int = 0
     """Functions of this exercise's name that were judged in this process; unwritten ones do not count."""
@@ -150,10 +125,11 @@ class Exercise:
         if verdict or (verdict.state == "failed" and own):
             self.tries += 1
             with forgiving():
-                count("exercises", self.name, "tries")
-                noted = read_section("exercises")[self.name]
+                noted = read_section("exercises").get(self.name, {})
+                tries = int(noted.get("tries", 0)) + 1
+                note("exercises", self.name, tries=tries)
                 if verdict and "passed" not in noted:
-                    note("exercises", self.name, passed=now(), passed_at_try=noted["tries"])
+                    note("exercises", self.name, passed=now(), passed_at_try=tries)
         return verdict
 
     def _judged(self, function: Any) -> Verdict:
@@ -169,7 +145,7 @@ class Exercise:
         verdict = functools.partial(Verdict, exercise=self.name, hints_left=len(self.hints) - self.hints_given)
         if not callable(function):
             return verdict(state="failed", prop="it is a function", detail=f"got a {type(function).__name__}")
-        attempt = Attempt(function, self._guard())
+        attempt = Attempt(function)
         try:
             with use_backend("reference") if self.becomes else contextlib.nullcontext():
                 self.judge(attempt)
@@ -184,18 +160,6 @@ class Exercise:
             return verdict(state="failed", prop=prop, on=attempt.words, detail=detail)
         return Verdict(exercise=self.name, state="passed")
 
-    @functools.cached_property
-    def _reference(self) -> Callable[..., Any]:
-        return reference_function(self.name, self._solution)
-
-    def _guard(self) -> Guard:
-        """What the function may not call: the course's solution, and what does this exercise already."""
-        guard = Guard(limit_s=self.limit_s)
-        guard.refuse([self._solution, self._reference], "which is the course's solution; write your own")
-        own = [plain_function(self.becomes.operation)] if self.becomes else []
-        guard.refuse([*own, *self.ready_made], "which does what this exercise asks for; write it out")
-        return guard
-
     def hint(self, number: int | None = None) -> Said:
         """The next hint, or hint ``number`` (from 1); after the last one, the last one again."""
         wanted = self.hints_given + 1 if number is None else number
@@ -205,7 +169,7 @@ class Exercise:
             note("exercises", self.name, hints=self.hints_given)
         return Said(f"Hint {wanted} of {len(self.hints)}: {self.hints[wanted - 1]}")
 
-    def solution(self) -> Solution | Said:
+    def solution(self) -> Said:
         """Source code of a solution; before the first try, a sentence that says what to do."""
         noted: dict[str, Any] = {}
         with forgiving():
@@ -219,7 +183,7 @@ class Exercise:
         if "solution_shown" not in noted:  # the first time counts
             with forgiving():
                 note("exercises", self.name, solution_shown=now())
-        return Solution(self.name, source_of(self.name, self._solution))
+        return Said(source_of(self.name, self._solution))
 
     def working(self, function: Any, *, plain: bool = False) -> Callable[..., Any]:
         """``function`` if it passes, otherwise the reference's, so that the chapter can go on; one sentence says whose.
@@ -233,8 +197,8 @@ class Exercise:
         verdict = self._judged(function)
         verdict.code_in_use.tell()
         if not verdict:
-            return self._reference
-        return function if plain else with_reference(self.name, function, self._reference)
+            return self._solution
+        return function if plain else with_reference(self.name, function, self._solution)
 
     def __repr__(self) -> str:
         stars = "★" * self.difficulty + "☆" * (5 - self.difficulty)
@@ -253,8 +217,6 @@ def exercise(
     solution: Callable[..., Any],
     wrong: Sequence[Wrong],
     becomes: Becomes | None = None,
-    ready_made: Sequence[Callable[..., Any]] = (),
-    limit_s: float = LIMIT_S,
 ) -> Callable[[Callable[[Attempt], None]], Exercise]:
     """Register the decorated judge as the exercise of its name; the first line of its docstring is the title.
 
@@ -265,9 +227,7 @@ def exercise(
         hints: In the order in which they are given.
         solution: A right answer, which the judge accepts.
         wrong: Plausible wrong answers, which the judge refuses.
-        becomes: What the function becomes in the library. A function that calls this operation is refused.
-        ready_made: Other functions that do the exercise; one that calls them is refused.
-        limit_s: How long one call may take.
+        becomes: What the function becomes in the library.
 
     Raises:
         ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another module uses.
@@ -286,7 +246,6 @@ def exercise(
         _EXERCISES[name] = Exercise(
             name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
             hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong), becomes=becomes,
-            ready_made=tuple(ready_made), limit_s=limit_s,
         )  # fmt: skip
         return _EXERCISES[name]
 

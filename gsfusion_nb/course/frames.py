@@ -2,11 +2,10 @@
 
 import math
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from ..geometry import backproject, depth_to_points, project, se3
+from ..geometry import depth_to_points, se3
 from ..types import Camera
 from .exercise import Attempt, Wrong, close, exercise, holds, unpack
 
@@ -38,7 +37,7 @@ def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=1, difficulty=1, minutes=5, solution=_project, ready_made=(project,),
+    chapter=1, difficulty=1, minutes=5, solution=_project,
     hints=(
         "Similar triangles: a point twice as far away lands half as far from the principal point.",
         "u = fx x / z + cx, and the same for v.",
@@ -86,7 +85,7 @@ def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> 
 
 
 @exercise(
-    chapter=1, difficulty=2, minutes=8, solution=_lift, ready_made=(backproject,),
+    chapter=1, difficulty=2, minutes=8, solution=_lift,
     hints=(
         "Solve Eq. 4 for x and y; z is known.",
         "The ray ((u - cx) / fx, (v - cy) / fy, 1) has z = 1. What must it be multiplied by to get z = depth?",
@@ -142,7 +141,6 @@ def _invert_by_transposing(T: Tensor) -> Tensor:
 
 @exercise(
     chapter=1, difficulty=2, minutes=8, solution=_invert,
-    ready_made=(se3.inverse, torch.linalg.inv, torch.inverse, torch.linalg.solve, np.linalg.inv),
     hints=(
         "x_W = R x_C + t. Solve for x_C; R^-1 = R^T.",
         "x_C = R^T (x_W - t) = R^T x_W - R^T t: the translation is turned too.",

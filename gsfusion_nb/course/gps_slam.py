@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 F64 = torch.float64
 
@@ -40,7 +40,7 @@ def _as_not_behind(yours: Yours, alpha: Tensor, z: Tensor, D_s: Tensor, behind_m
     """Yours for each pixel that a Gaussian reaches."""
     w = torch.zeros_like(alpha)
     rows = {p: (alpha[:, p] > 0).nonzero()[:, 0] for p in alpha.any(0).nonzero()[:, 0].tolist()}
-    calls = [(alpha[k, p], z[k], D_s[p].clone(), behind_m) for p, k in rows.items()]
+    calls = [(alpha[k, p], z[k], D_s[p], behind_m) for p, k in rows.items()]
     gives = [{"the weights": each} for each, *_ in calls]
     for (p, k), own in zip(rows.items(), yours.many(calls, gives), strict=True):
         w[k, p] = own
@@ -125,7 +125,7 @@ def _as_blend_with_base(yours: Yours, w: Tensor, c: Tensor, C_s: Tensor, b: Tens
     if not bool((b == 1).all()):
         return NotImplemented
     rows = [(column > 0).nonzero()[:, 0] for column in w.T]
-    calls = [(w[k, p], c[k], C_s[p].clone()) for p, k in enumerate(rows)]
+    calls = [(w[k, p], c[k], C_s[p]) for p, k in enumerate(rows)]
     gives = [{"the colour": C_s.new_zeros(3), "the sum of the weights": C_s.new_zeros(())}] * len(calls)
     pixels = yours.many(calls, gives)
     if not pixels:
@@ -218,7 +218,7 @@ def _as_blend_with_base_vjp(yours: Yours, w: Tensor, c: Tensor, C: Tensor, b: Te
         return NotImplemented
     v_w, v_c = torch.zeros_like(w), torch.zeros_like(c)
     rows = {p: (w[:, p] > 0).nonzero()[:, 0] for p in v_C.any(1).nonzero()[:, 0].tolist()}
-    calls = [(w[k, p], c[k], C[p].clone(), v_C[p].clone()) for p, k in rows.items()]
+    calls = [(w[k, p], c[k], C[p], v_C[p]) for p, k in rows.items()]
     gives = [{"v_w": each_w, "v_c": each_c} for each_w, each_c, _, _ in calls]
     for (p, k), (own_w, own_c) in zip(rows.items(), yours.many(calls, gives), strict=True):
         v_w[k, p] = own_w
@@ -227,7 +227,7 @@ def _as_blend_with_base_vjp(yours: Yours, w: Tensor, c: Tensor, C: Tensor, b: Te
 
 
 @exercise(
-    chapter=12, difficulty=3, minutes=15, solution=_blend_over_vjp, ready_made=AUTOGRAD,
+    chapter=12, difficulty=3, minutes=15, solution=_blend_over_vjp,
     becomes=Becomes("blend_with_base_vjp", _as_blend_with_base_vjp),
     hints=(
         "C = S / (1 + W) with S = C_s + sum of w_i c_i. Write q = dL/dS = v_C / (1 + W): the rest is short.",

@@ -4,10 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from markupsafe import Markup
 from torch import Tensor
-
-from ..drawing.page import html_table
 
 TOLERANCE = 1e-5
 """Largest difference that counts as agreement in float64, as a share of the largest number."""
@@ -31,7 +28,7 @@ class Compared:
 
 
 class GradientComparison:
-    """The table that ``compare_gradients`` makes; ``ok`` says whether all three agree. Notebooks show it in colour."""
+    """The table that ``compare_gradients`` makes; ``ok`` says whether all three agree."""
 
     def __init__(self, rows: list[Compared]):
         self.rows = rows
@@ -52,26 +49,6 @@ class GradientComparison:
             a, d = row.errors
             lines.append(f"{'':>16} largest error of {row.hand.numel()}: autograd {a:.0e}, difference {d:.0e}")
         return "\n".join([*lines, "all three agree" if self.ok else "they do NOT agree"])
-
-    def _repr_html_(self) -> str:
-        lines = []
-        for row in self.rows:
-            a, d = row.errors
-            colour, sign = ("#1a7f37", "✓") if max(a, d) < TOLERANCE else ("#c62828", "✗")
-            verdict = Markup('<span style="color:{}">{} {:.0e} (autograd), {:.0e} (difference)</span>')
-            numbers = _numbers(row)
-            for i, (name, *values) in enumerate(numbers):
-                last = verdict.format(colour, sign, a, d) if i == 0 else ""
-                lines.append((name, *(f"{v:+.6f}" for v in values), last))
-            if row.hand.numel() > len(numbers):
-                lines.append((f"… {row.hand.numel() - len(numbers)} more",))
-        heads = ("gradient by", "by hand", "autograd", "difference", "largest relative error")
-        looks = {
-            "name": "gsnb-three-ways",
-            "style": "font-size:12px",
-            "cell_style": "text-align:right;padding:1px 10px",
-        }
-        return html_table(lines, heads=heads, **looks)
 
 
 def compare_gradients(

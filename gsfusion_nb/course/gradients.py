@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ..render.composite import blend_weights
 from ..render.constants import ALPHA_MAX
-from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
 from .gradient_check import central_difference
 
 Loss = Callable[[Tensor], Tensor]
@@ -38,7 +38,7 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=1, minutes=5, solution=_slope, ready_made=AUTOGRAD,
+    chapter=5, difficulty=1, minutes=5, solution=_slope,
     hints=(
         "For each i: move x[i] up by h, then down by h, and compare the two losses.",
         "Divide by 2h, the distance between the two points.",
@@ -79,10 +79,6 @@ def _not_a_mean(rgb: Tensor, target: Tensor) -> Tensor:
     return torch.sign(rgb - target)
 
 
-def _per_pixel(rgb: Tensor, target: Tensor) -> Tensor:
-    return torch.sign(rgb - target) / (rgb.shape[0] * rgb.shape[1])
-
-
 def _uphill(rgb: Tensor, target: Tensor) -> Tensor:
     return torch.sign(target - rgb) / rgb.numel()
 
@@ -92,7 +88,7 @@ def _as_l1_vjp(yours: Yours, rgb: Tensor, target: Tensor, v_loss: float = 1.0) -
 
 
 @exercise(
-    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient, ready_made=AUTOGRAD,
+    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient,
     becomes=Becomes("l1_vjp", _as_l1_vjp),
     hints=(
         "The derivative of |x| is its sign.",
@@ -101,7 +97,6 @@ def _as_l1_vjp(yours: Yours, rgb: Tensor, target: Tensor, v_loss: float = 1.0) -
     wrong=(
         Wrong(_uphill, says="too bright means a positive gradient"),
         Wrong(_not_a_mean, says="the loss is a mean"),
-        Wrong(_per_pixel, says="the loss is a mean"),
     ),
 )  # fmt: skip
 def l1_gradient(attempt: Attempt) -> None:
@@ -143,13 +138,8 @@ def _forwards(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
     return torch.stack([z / fx * v_u, z / fy * v_v, -(fx * x * v_u + fy * y * v_v) / z**2])
 
 
-def _wrong_sign(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
-    v = _pinhole_vjp(xyz_C, fx, fy, v_uv)
-    return torch.stack([v[0], v[1], -v[2]])
-
-
 @exercise(
-    chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp, ready_made=AUTOGRAD,
+    chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp,
     hints=(
         "v_xyz = J^T v_uv with the J of chapter 4: three numbers.",
         "x moves only u, y only v, but z moves both.",
@@ -158,7 +148,6 @@ def _wrong_sign(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
     wrong=(
         Wrong(_forwards, says="x moves u by fx / z"),
         Wrong(_depth_ignored, says="moving away moves u and v towards the middle: -fx x / z^2"),
-        Wrong(_wrong_sign, says="moving away moves u and v towards the middle: -fx x / z^2"),
     ),
 )  # fmt: skip
 def pinhole_vjp(attempt: Attempt) -> None:
@@ -194,12 +183,8 @@ def _element_by_element(Q: Tensor, v_Q: Tensor) -> Tensor:
     return -Q * v_Q * Q
 
 
-def _one_side(Q: Tensor, v_Q: Tensor) -> Tensor:
-    return -Q @ v_Q
-
-
 @exercise(
-    chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp, ready_made=AUTOGRAD,
+    chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp,
     hints=(
         "Start from Q cov = I and move cov a little: dQ cov + Q dcov = 0.",
         "So dQ = -Q dcov Q. For 1 x 1 matrices that is d(1/s) = -ds / s^2.",
@@ -207,7 +192,6 @@ def _one_side(Q: Tensor, v_Q: Tensor) -> Tensor:
     ),
     wrong=(
         Wrong(_plus, says="a wider Gaussian has a smaller conic"),
-        Wrong(_one_side, says="a wider Gaussian has a smaller conic"),
         Wrong(_element_by_element, says="the matrix acts from both sides"),
     ),
 )  # fmt: skip
@@ -247,12 +231,6 @@ def _shadow_forgotten(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Ten
     return T * (rgb @ v_colour), (alpha * T)[:, None] * v_colour
 
 
-def _shadow_not_divided(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
-    T = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha[:-1]).cumprod(0)])
-    w, c_dot_v = alpha * T, rgb @ v_colour
-    return T * c_dot_v - ((w * c_dot_v).flip(0).cumsum(0).flip(0) - w * c_dot_v), w[:, None] * v_colour
-
-
 def _alpha_for_weight(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
     return _blend_vjp(alpha, rgb, v_colour)[0], alpha[:, None] * v_colour
 
@@ -265,7 +243,7 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
     _, w = blend_weights(alpha)
     v_alpha, v_c, rgb = torch.zeros_like(alpha), torch.zeros_like(c), c[:, :3]
     rows = {p: (w[:, p] > 0).nonzero()[:, 0] for p in v_C.any(1).nonzero()[:, 0].tolist()}
-    calls = [(alpha[k, p], rgb[k], v_C[p, :3].clone()) for p, k in rows.items()]
+    calls = [(alpha[k, p], rgb[k], v_C[p, :3]) for p, k in rows.items()]
     gives = [{"v_alpha": a, "v_rgb": each} for a, each, _ in calls]
     for (p, k), (v_a, v_rgb) in zip(rows.items(), yours.many(calls, gives), strict=True):
         v_alpha[k, p] = v_a
@@ -274,7 +252,7 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
 
 
 @exercise(
-    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp, ready_made=AUTOGRAD,
+    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp,
     becomes=Becomes("blend_vjp", _as_blend_vjp),
     hints=(
         "C = sum_k w_k c_k is linear in the colours: dL/dc_k = w_k v_C, with w_k = alpha_k T_k.",
@@ -284,7 +262,6 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
     ),
     wrong=(
         Wrong(_shadow_forgotten, says="what stands behind gets darker: -S / (1 - alpha)"),
-        Wrong(_shadow_not_divided, says="what stands behind gets darker: -S / (1 - alpha)"),
         Wrong(_alpha_for_weight, says="a colour counts with its weight"),
     ),
 )  # fmt: skip

@@ -18,10 +18,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from markupsafe import Markup
-
 from ..backends import CALLS, FUNCTIONS, Calls
-from ..drawing.page import html_table
 from .exercise import exercises
 from .learner_code import functions_of_earlier_chapters
 from .learner_operation import KEPT as KEPT
@@ -129,30 +126,12 @@ class Board:
 
     def __repr__(self) -> str:
         head = f"{'operation':26} {'whose':10} {'calls':>8} {'ms':>9} {'ms/call':>8}  exercise"
-        rows = [
-            f"{row.operation:26} {'YOURS' if row.code == 'yours' else row.whose:10} {n:8,} {1e3 * s:9.1f} {each:>8}  "
-            f"{row.exercise}"
-            for row, n, s, each in self._numbers()
-        ]
-        return "\n".join([head, *rows, self.line])
-
-    def _repr_html_(self) -> str:
-        colours = {"yours": "#1a7f37", "solution": "#0969da", "reference": "#6e7781"}
-        mark = Markup('<span style="color:{}">●</span> <b>{}</b>')
-        rows = [
-            (mark.format(colours[row.code], row.operation), row.whose, f"{n:,}", f"{1e3 * s:.1f}", each, row.exercise)
-            for row, n, s, each in self._numbers()
-        ]
-        heads = ("operation", "whose code", "calls", "ms", "ms per call", "exercise")
-        return html_table(rows, heads=heads, foot=self.line, style="font-size:12px", cell_style="text-align:left")
-
-    def _numbers(self) -> list[tuple[BoardRow, int, float, str]]:
-        """Each row with its number of calls, its seconds, and the milliseconds of one call."""
-        numbers = []
+        rows = []
         for row in self.rows:
             n, s = row.calls.own + row.calls.reference, row.calls.seconds
-            numbers.append((row, n, s, f"{1e3 * s / n:.3g}" if n else "-"))
-        return numbers
+            whose, each = "YOURS" if row.code == "yours" else row.whose, f"{1e3 * s / n:.3g}" if n else "-"
+            rows.append(f"{row.operation:26} {whose:10} {n:8,} {1e3 * s:9.1f} {each:>8}  {row.exercise}")
+        return "\n".join([head, *rows, self.line])
 
 
 def board(chapters: Collection[int] | None = None) -> Board:

@@ -1,24 +1,21 @@
 """A learner's function outside the library: where it is, how it is run, and how it comes to the next chapter.
 
-It runs in a thread of its own with a limit of time, and may not call what does the exercise already. Its results become
-plain values. A chapter goes on with it if it passes, else with the reference's. An accepted function is kept as source
-code in the course file, because a notebook is a process of its own.
+It runs with a limit of time, and its results become plain values. A chapter goes on with it if it passes, else with the
+reference's. An accepted function is kept as source code in the course file, because a notebook is a process of its own.
 """
 
-import contextvars
 import copy
-import ctypes
 import functools
 import inspect
 import itertools
 import linecache
+import signal
 import sys
 import textwrap
 import threading
-import time
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Literal
 
@@ -30,20 +27,12 @@ from ..drawing.page import fill
 from ..types import Camera
 from .progress import note, now, read_section
 
-LIMIT_S = 10.0
-"""How long one call of a learner's function may take, in seconds of the processor."""
-LIBRARY_LIMIT_S = 60.0
-"""The same for a function that runs stages of the library. Its judge runs them first, so that they are compiled."""
-_CROWDED = 6
-"""How many times as long it may take where other programs use the processor, or the function sleeps."""
-_PATIENCE_S = 1.0
-"""How long a function that is told to stop may take to do so."""
+LIMIT_S = 60.0
+"""How long one call of a learner's function may take, in seconds of the processors."""
 _LONGEST = 10_000
 """Most values that are taken from a generator."""
 SECTION = "functions"
 """Of the course file."""
-REFERENCE = "<the reference's>"
-"""File name of solutions that run in a notebook; their source cannot be shown."""
 
 
 class Failed(Exception):
@@ -125,96 +114,33 @@ def argument_copy(value: Any) -> Any:
     return copy.deepcopy(value) if isinstance(value, (np.ndarray, list, dict, Camera)) else value
 
 
-class Refused(BaseException):
-    """Ends a learner's function; no ``except Exception`` of theirs catches it."""
-
-
 class _TimeIsUp(BaseException):
-    """Raised inside a learner's function that takes too long."""
+    """Raised inside a learner's function that takes too long; no ``except Exception`` of theirs catches it."""
 
 
-@dataclass
-class Guard:
-    """What holds for every call of one learner's function in a notebook.
+def run_learner(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+    """The result of ``function`` as a plain value. A loop without end is left where the system has timers.
 
-    This keeps an honest learner from fooling themselves; marks are given in another process, without the solutions.
+    Raises:
+        Failed: it took too long, or returned something that is no plain value.
+        Exception: what the function raised.
     """
+    if not hasattr(signal, "SIGPROF") or threading.current_thread() is not threading.main_thread():
+        return plain_value(function(*args, **kwargs))
 
-    limit_s: float = LIMIT_S
-    refused: dict[Any, str] = field(default_factory=dict)
-    """Code object, or name of a function written in C -> what calling it means, in words."""
+    def stop(_signal: int, _frame: Any) -> None:
+        raise _TimeIsUp
 
-    def refuse(self, functions: Sequence[Callable[..., Any]], means: str) -> None:
-        """From now on a call of one of ``functions`` is refused; ``means`` completes "it calls NAME, ..."."""
-        for function in functions:
-            name = getattr(function, "__name__", "")
-            code = getattr(inspect.unwrap(function), "__code__", None)
-            self.refused[name if code is None else code] = f"it calls {name}, {means}"
-
-    def run(self, function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
-        """The result of ``function`` as a plain value; it runs in a thread, so that a loop without end can be left.
-
-        Raises:
-            Failed: it called what is refused, took too long, or ended the program.
-            Exception: what the function raised.
-        """
-        results: list[Any] = []
-        errors: list[BaseException] = []
-        broken: list[str] = []
-
-        def watch(frame: types.FrameType, event: str, arg: Any) -> None:
-            called = frame.f_code if event == "call" else arg.__name__ if event == "c_call" else None
-            if called in self.refused:
-                broken.append(self.refused[called])
-                raise Refused
-
-        def call() -> None:
-            sys.setprofile(watch)
-            try:
-                results.append(plain_value(function(*args, **kwargs)))
-            except BaseException as e:
-                errors.append(e)
-            finally:
-                sys.setprofile(None)
-
-        context = contextvars.copy_context()
-        self._wait(threading.Thread(target=lambda: context.run(call), name="learner", daemon=True))
-        if broken:
-            raise Failed("it is your own code", "", broken[0])
-        for error in errors:
-            if isinstance(error, SystemExit):
-                raise Failed("it returns its result", "", "it ended the program: exit() or SystemExit; use return")
-            if isinstance(error, Exception):
-                raise error
-            raise Failed("it runs", "", f"it raised {type(error).__name__}")
-        return results[0]
-
-    def _wait(self, thread: threading.Thread) -> None:
-        """Run the thread; stop it after the limit, or when the learner interrupts the notebook."""
-        began, used = time.monotonic(), time.process_time()
-        thread.start()
-        try:
-            while thread.is_alive() and (
-                time.process_time() - used < self.limit_s and time.monotonic() - began < _CROWDED * self.limit_s
-            ):
-                thread.join(0.2)
-        finally:
-            in_time = not thread.is_alive()
-            stopped = in_time or _stop(thread)
-        if not in_time:
-            rest = "Is there a loop whose condition never becomes false?"
-            rest = rest if stopped else "It does not stop: restart the kernel"
-            raise Failed("it comes to an end", "", f"it ran for more than {self.limit_s:g} s. {rest}")
-
-
-def _stop(thread: threading.Thread) -> bool:
-    """Raise ``_TimeIsUp`` in a thread again and again, in case it is caught; whether the thread ended."""
-    for _ in range(int(_PATIENCE_S / 0.05)):
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(_TimeIsUp))
-        thread.join(0.05)
-        if not thread.is_alive():
-            return True
-    return False
+    usual = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
+    try:
+        return plain_value(function(*args, **kwargs))
+    except _TimeIsUp:
+        said = f"it ran for more than {LIMIT_S:g} s. Is there a loop whose condition never becomes false?"
+        raise Failed("it comes to an end", "", said) from None
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, usual)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,13 +191,6 @@ def with_reference(exercise: str, function: Callable[..., Any], reference: Calla
         return reference(*args, **kwargs)
 
     return call
-
-
-def reference_function(exercise: str, solution: Callable[..., Any]) -> Callable[..., Any]:
-    """A copy of a solution under the exercise's name; compilers can read it and ``inspect.getsource`` cannot."""
-    function = inspect.unwrap(solution)
-    code = function.__code__.replace(co_filename=REFERENCE)
-    return types.FunctionType(code, function.__globals__, exercise, function.__defaults__)
 
 
 def keep_source(exercise: str, function: Callable[..., Any]) -> None:
@@ -333,8 +252,6 @@ def _definition(name: str, value: Any, seen: set[int]) -> Iterator[str]:
             yield from _needed(inner, seen)
         if inner.__name__ != name:
             yield f"{name} = {inner.__name__}"
-    elif getattr(getattr(inner, "__code__", None), "co_filename", "") == REFERENCE:  # for one not yet written
-        yield f"from {__package__} import exercises; {name} = exercises()[{inner.__name__!r}]._solution"
     elif callable(value) and getattr(value, "__qualname__", ".").isidentifier():
         yield f"from {value.__module__} import {value.__qualname__} as {name}"
     elif isinstance(value, (bool, int, float, str)):

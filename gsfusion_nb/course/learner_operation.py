@@ -28,17 +28,7 @@ class Becomes:
 
 
 class LearnerError(RuntimeError):
-    """A learner's function failed inside the library; the message names its cell and line and what went in.
-
-    Args:
-        message: The sentence.
-        exercise: Name of the exercise.
-        where: Cell (or file) and line.
-    """
-
-    def __init__(self, message: str, exercise: str = "", where: str = ""):
-        super().__init__(message)
-        self.exercise, self.where = exercise, where
+    """A learner's function failed inside the library; the message names its cell and line and what went in."""
 
 
 class Yours:
@@ -66,33 +56,12 @@ class Yours:
             LearnerError: the function raised, or a result has another shape or type, or is not finite.
         """
         copies = [value.clone() if isinstance(value, Tensor) else value for value in args]
-        results = self._checked(self._called(copies), gives, args)
-        self._check_finite(results, gives or {}, args)
-        return results
+        result = self._called(copies)
+        return result if gives is None else self._checked(result, gives, args)
 
     def many(self, calls: Sequence[tuple], gives: Sequence[Mapping[str, Tensor]]) -> list[Any]:
-        """Call the function for each tuple of arguments, which are copies that nothing else uses.
-
-        For functions of one pixel, which are called thousands of times: NaN is looked for in all results at once.
-
-        Raises:
-            LearnerError: as for one call.
-        """
-        results = [self._checked(self._called(args), like, args) for args, like in zip(calls, gives, strict=True)]
-        values = [
-            value.reshape(-1) for result in results for value in (result if isinstance(result, tuple) else [result])
-        ]
-        if values and not torch.cat(values).isfinite().all():
-            for result, args, like in zip(results, calls, gives, strict=True):
-                self._check_finite(result, like, args)
-        return results
-
-    def _check_finite(self, results: Any, gives: Mapping[str, Tensor], args: tuple) -> None:
-        for name, value in zip(gives, results if len(gives) > 1 else (results,), strict=False):
-            if not value.isfinite().all():
-                bad = (~value.isfinite()).nonzero()
-                at = f", the first at {bad[0].tolist()}" if value.ndim else ""
-                self.fail(f"returned {len(bad)} NaN or infinite values for {name} {list(value.shape)}{at}", args)
+        """Call the function for each tuple of arguments. Raises as for one call."""
+        return [self(*args, gives=like) for args, like in zip(calls, gives, strict=True)]
 
     def _called(self, args: Sequence[Any]) -> Any:
         try:
@@ -104,15 +73,18 @@ class Yours:
             reason = f"{type(e).__name__}: {str(e).splitlines()[0]}" if str(e) else type(e).__name__
             self.fail(f"raised {reason}", tuple(args), cause=e)
 
-    def _checked(self, result: Any, gives: Mapping[str, Tensor] | None, args: tuple) -> Any:
-        if gives is None:
-            return result
+    def _checked(self, result: Any, gives: Mapping[str, Tensor], args: tuple) -> Any:
         values = result if len(gives) > 1 else (result,)
         if not isinstance(values, (tuple, list)) or len(values) != len(gives):
             self.fail(f"must return {len(gives)} results ({', '.join(gives)}); it returned {_short(result)}", args)
         checked = tuple(
             self._as_tensor(name, value, like, args) for (name, like), value in zip(gives.items(), values, strict=True)
         )
+        for name, value in zip(gives, checked, strict=True):
+            if not value.isfinite().all():
+                bad = (~value.isfinite()).nonzero()
+                at = f", the first at {bad[0].tolist()}" if value.ndim else ""
+                self.fail(f"returned {len(bad)} NaN or infinite values for {name} {list(value.shape)}{at}", args)
         return checked if len(gives) > 1 else checked[0]
 
     def _as_tensor(self, name: str, value: Any, like: Tensor, args: tuple) -> Tensor:
@@ -137,7 +109,7 @@ class Yours:
             names = list(inspect.signature(self.function).parameters)
             names += [f"argument {i + 1}" for i in range(len(names), len(args))]
             message += ", with " + "; ".join(f"{n} = {_short(v)}" for n, v in zip(names, args, strict=False))
-        raise LearnerError(message, self.exercise, where) from cause
+        raise LearnerError(message) from cause
 
 
 def _kind(tensor: Tensor) -> str:

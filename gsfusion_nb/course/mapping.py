@@ -8,7 +8,7 @@ from ..mapping import GSFusion
 from ..optim import Keyframe
 from ..tsdf import integrate
 from ..types import Camera, Frame
-from .exercise import LIBRARY_LIMIT_S, Attempt, Becomes, Failed, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Failed, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _frame_rate(seconds: list[float]) -> float:
@@ -19,10 +19,6 @@ def _mean_of_rates(seconds: list[float]) -> float:
     return sum(1 / s for s in seconds) / len(seconds)
 
 
-def _rate_of_the_last(seconds: list[float]) -> float:
-    return 1 / seconds[-1]
-
-
 @exercise(
     chapter=6, difficulty=1, minutes=4, solution=_frame_rate,
     hints=(
@@ -31,7 +27,6 @@ def _rate_of_the_last(seconds: list[float]) -> float:
     ),
     wrong=(
         Wrong(_mean_of_rates, says="frames divided by the time they took"),
-        Wrong(_rate_of_the_last, says="frames divided by the time they took"),
     ),
 )  # fmt: skip
 def frame_rate(attempt: Attempt) -> None:
@@ -256,7 +251,7 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
 
 
 @exercise(
-    chapter=6, difficulty=4, minutes=20, solution=_map_frame, limit_s=LIBRARY_LIMIT_S,
+    chapter=6, difficulty=4, minutes=20, solution=_map_frame,
     hints=(
         "Four parts in this order: integrate(mapper.volume, frame); seeds = mapper.propose_seeds("
         "mapper.seed_context(frame)); mapper.gaussians.append(seeds, frame.index); optimise(frame).",

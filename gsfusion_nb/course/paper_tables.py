@@ -3,10 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from markupsafe import Markup
-
-from ..drawing.page import html_table
-
 Row = Mapping[str, float | int]
 
 
@@ -50,7 +46,7 @@ _FORMATS = {"PSNR": ".2f", "SSIM": ".3f", "FPS": ".1f", "MB": ".1f", "global s":
 
 
 class PaperComparison:
-    """An ablation of the paper and your own runs, row by row, as text or as a table in a notebook.
+    """An ablation of the paper and your own runs, row by row.
 
     Args:
         number: "IV" to "VIII".
@@ -91,10 +87,6 @@ class PaperComparison:
             sides = ["<", *">" * (len(row) - 1)]
             text.append("  ".join(f"{c:{side}{w}}" for c, side, w in zip(row, sides, widths, strict=True)))
         return "\n".join([self.title, *text])
-
-    def _repr_html_(self) -> str:
-        head, *body = self.lines()
-        return Markup("<b>{}</b>").format(self.title) + Markup(html_table(body, heads=head))
 
 
 def _in_order(settings: list[str]) -> list[str]:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ..render.constants import ALPHA_MAX, ALPHA_MIN
-from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _sigma(dx: Tensor, dy: Tensor, conic: Tensor) -> Tensor:
@@ -140,7 +140,7 @@ def _as_splat_alpha_vjp(
 
 
 @exercise(
-    chapter=5, difficulty=3, minutes=15, solution=_splat_alpha_vjp, ready_made=AUTOGRAD,
+    chapter=5, difficulty=3, minutes=15, solution=_splat_alpha_vjp,
     becomes=Becomes("splat_alpha_vjp", _as_splat_alpha_vjp),
     hints=(
         "alpha = o exp(-sigma): dalpha/do = exp(-sigma), and dalpha/dsigma = -alpha. So v_sigma = -alpha v_alpha.",

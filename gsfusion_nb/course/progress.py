@@ -69,11 +69,6 @@ def note(section: str, name: str, **values: Any) -> None:
     _write(course)
 
 
-def count(section: str, name: str, key: str) -> None:
-    """Add one to the number ``key`` of the entry ``name``. Raises as ``note``."""
-    note(section, name, **{key: int(read_section(section).get(name, {}).get(key, 0)) + 1})
-
-
 def reset() -> Path | None:
     """Start again: the file is renamed, so that nothing is lost. Returns its new name, or ``None`` without a file."""
     global _in_memory

@@ -100,10 +100,6 @@ def _split_all_floor(x0: int, y0: int, width: int, height: int) -> list[Cell]:
     return [(x0 + i * w, y0 + j * h, w, h) for i in (0, 1) for j in (0, 1)]
 
 
-def _split_at_the_origin(x0: int, y0: int, width: int, height: int) -> list[Cell]:
-    return cut(0, 0, width, height)
-
-
 def _as_cut(yours: Yours, x0: int, y0: int, width: int, height: int) -> list[Cell]:
     parts = yours(x0, y0, width, height, gives={"the four parts": torch.zeros(4, 4, dtype=torch.int64)})
     return [(x, y, w, h) for x, y, w, h in parts.tolist()]
@@ -117,7 +113,6 @@ def _as_cut(yours: Yours, x0: int, y0: int, width: int, height: int) -> list[Cel
     ),
     wrong=(
         Wrong(_split_all_floor, says="every pixel"),
-        Wrong(_split_at_the_origin, says="every pixel"),
     ),
 )  # fmt: skip
 def split_cell(attempt: Attempt) -> None:
@@ -279,13 +274,11 @@ def _gaussian_of_one_size(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Ten
 def _as_cell_gaussians(
     yours: Yours, camera: Camera, cells: Cells, depth_m: Tensor, T_WC: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Yours for every cell, with one copy of the depth image for all."""
+    """Yours for every cell."""
     rows = zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True)
-    copy, like = depth_m.clone(), {"xyz_W": T_WC.new_zeros(3), "scale_m": depth_m.new_zeros(())}
-    calls = [(camera, cell, copy, T_WC.clone()) for cell in rows]
+    like = {"xyz_W": T_WC.new_zeros(3), "scale_m": depth_m.new_zeros(())}
+    calls = [(camera, cell, depth_m, T_WC) for cell in rows]
     results = yours.many(calls, [like] * len(calls))
-    if not torch.equal(copy.nan_to_num(), depth_m.nan_to_num()):
-        yours.fail("changed the depth image that was passed in; the next cells need it as it was", calls[0])
     if not results:
         return T_WC.new_zeros(0, 3), depth_m.new_zeros(0)
     xyz_W, scale_m = (torch.stack(column) for column in zip(*results, strict=True))

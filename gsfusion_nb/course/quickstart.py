@@ -6,7 +6,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import evaluation
 from ..data import open_sequence
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds
 
@@ -83,7 +82,7 @@ def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=0, difficulty=2, minutes=8, solution=_psnr, ready_made=(evaluation.psnr,),
+    chapter=0, difficulty=2, minutes=8, solution=_psnr,
     hints=(
         "Peak signal to noise: the peak is 1 here. Noise is the mean of the squared differences.",
         "10 log10(peak^2 / MSE). With peak 1 that is -10 log10(MSE).",

@@ -43,7 +43,7 @@ def _as_disc_hit(yours: Yours, r: Tensor, p: Tensor, n: Tensor, min_cosine: floa
     """Yours for each ray, with the limit of the exercise; the reference for other limits."""
     if min_cosine != MIN_COSINE:
         return NotImplemented
-    rays = list(zip(*(rows.clone().unbind() for rows in (r, p, n)), strict=True))
+    rays = list(zip(r, p, n, strict=True))
     depths = yours.many(rays, [{"the depth": p.new_zeros(())}] * len(rays))
     return torch.stack(depths) if depths else p[:, 2].clone()
 
@@ -295,10 +295,6 @@ def _swapped(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tenso
     return _fuse(after, before, eta_before, eta_after)
 
 
-def _half_half(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
-    return (before + after) / 2
-
-
 def _sum_of_counts(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
     w = eta_after / (eta_before + eta_after).clamp_min(1)
     return before + w[:, None] * (after - before)
@@ -337,7 +333,6 @@ def _as_fuse(
     ),
     wrong=(
         Wrong(_swapped, says="a new Gaussian takes the values from the window"),
-        Wrong(_half_half, says="a new Gaussian takes the values from the window"),
         Wrong(_sum_of_counts, says="the newer values are weighted by their share of the steps"),
         Wrong(_unguarded, says="a Gaussian never seen does not change"),
     ),

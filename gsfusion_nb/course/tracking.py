@@ -5,7 +5,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import tracking
 from ..geometry import se3
 from ..tracking.icp import IcpSystem, Step
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
@@ -23,10 +22,6 @@ def _turned_round(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
     return ((p - q) * n).sum(-1), torch.cat([n, torch.linalg.cross(n, p)], -1)
 
 
-def _about_q(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
-    return ((p - q) * n).sum(-1), torch.cat([n, torch.linalg.cross(q, n)], -1)
-
-
 def _rotation_first(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
     return ((p - q) * n).sum(-1), torch.cat([torch.linalg.cross(p, n), n], -1)
 
@@ -39,7 +34,6 @@ def _as_point_to_plane(yours: Yours, p: Tensor, q: Tensor, n: Tensor) -> tuple[T
 @exercise(
     chapter=8, difficulty=3, minutes=12, solution=_residual_and_jacobian,
     becomes=Becomes("point_to_plane", _as_point_to_plane),
-    ready_made=(tracking.point_to_plane,),
     hints=(
         "The residual is a signed number: how far p is from the plane through q, along n.",
         "A small motion moves p by rho + omega x p. The dot product of this with n is n.rho + n.(omega x p).",
@@ -49,7 +43,6 @@ def _as_point_to_plane(yours: Yours, p: Tensor, q: Tensor, n: Tensor) -> tuple[T
         Wrong(_point_to_point, says="sliding along the surface costs nothing"),
         Wrong(_rotation_first, says="the translation comes first"),
         Wrong(_turned_round, says="J is the derivative of r"),
-        Wrong(_about_q, says="J is the derivative of r"),
     ),
 )  # fmt: skip
 def point_to_plane(attempt: Attempt) -> None:
@@ -184,10 +177,6 @@ def _linear(T_before: Tensor, T_last: Tensor) -> Tensor:
     return 2 * T_last - T_before
 
 
-def _backwards(T_before: Tensor, T_last: Tensor) -> Tensor:
-    return T_last @ se3.inverse(T_last) @ T_before
-
-
 def _world_motion(T_before: Tensor, T_last: Tensor) -> Tensor:
     out = T_last.clone()
     out[:3, :3] = T_last[:3, :3] @ T_before[:3, :3].T @ T_last[:3, :3]
@@ -211,7 +200,6 @@ def _as_constant_velocity(yours: Yours, T_before: Tensor, T_last: Tensor, ratio:
     ),
     wrong=(
         Wrong(_same_again, says="a constant motion continues"),
-        Wrong(_backwards, says="a constant motion continues"),
         Wrong(_linear, says="the result is a rigid motion"),
         Wrong(_world_motion, says="a motion along a curve continues along the curve"),
     ),

@@ -111,10 +111,6 @@ def _running_average_without_cap(D: Tensor, W: Tensor, d: Tensor, max_weight: fl
     return (D * W + d) / (W + 1), W + 1
 
 
-def _halfway(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
-    return torch.where(W > 0, (D + d) / 2, d), (W + 1).clamp(max=max_weight)
-
-
 def _as_tsdf_update(
     yours: Yours, D: Tensor, W: Tensor, sdf_m: Tensor, *, truncation_m: float, max_weight: float, average: str = "mean"
 ) -> Any:
@@ -136,7 +132,6 @@ def _as_tsdf_update(
     ),
     wrong=(
         Wrong(_running_average_as_printed, says="every observation counts the same"),
-        Wrong(_halfway, says="every observation counts the same"),
         Wrong(_running_average_without_cap, says="max_weight"),
     ),
 )  # fmt: skip
@@ -248,7 +243,7 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=2, difficulty=3, minutes=15, solution=_morton, ready_made=(octree.encode,),
+    chapter=2, difficulty=3, minutes=15, solution=_morton,
     becomes=Becomes("interleave", _as_interleave),
     hints=(
         "Bit i of x is (x >> i) & 1. Where must it go?",
@@ -289,10 +284,6 @@ def _middle(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
     return (p0 + p1) / 2
 
 
-def _from_the_wrong_end(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
-    return _zero_crossing(p1, p0, D0, D1)
-
-
 def _by_magnitude(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
     t = D0 / (D0 + D1)
     return p0 + t[:, None] * (p1 - p0)
@@ -312,7 +303,6 @@ def _as_zero_crossing(yours: Yours, p0: Tensor, p1: Tensor, D0: Tensor, D1: Tens
     ),
     wrong=(
         Wrong(_middle, says="nearer to the end"),
-        Wrong(_from_the_wrong_end, says="nearer to the end"),
         Wrong(_by_magnitude, says="halfway"),
     ),
 )  # fmt: skip

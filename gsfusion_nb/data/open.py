@@ -3,7 +3,9 @@
 import dataclasses
 import hashlib
 import importlib
+import inspect
 import pkgutil
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +56,7 @@ def open_sequence(
         SequenceError: the folder fits no layout (the message lists what each layout looks for), or its content is
             invalid.
         KeyError: unknown format.
+        ValueError: an option that the layout's reader does not have.
     """
     check_name("format", format, ("auto", "room", *known_layouts()))
     if format == "room" or (format == "auto" and str(path_or_name) == "room"):
@@ -61,6 +64,7 @@ def open_sequence(
 
         if data is not None and data.width and data.height:  # rendered at the wanted size, not resized to it
             options = {"width": data.width, "height": data.height, **options}
+        _check_options("room", room, options)
         source: Any = room(**options)
         return apply_options(source, data, extra)
     path = Path(path_or_name).expanduser()
@@ -70,11 +74,19 @@ def open_sequence(
             + (_CONVERT if path.exists() else "")
         )
     name = detect_layout(path) if format == "auto" else format
+    reader = known_layouts()[name].read
+    _check_options(name, reader, options)
     with noting_files() as read_from:
-        recording = known_layouts()[name].read(path, **options)
+        recording = reader(path, **options)
     if isinstance(recording, RecordedSequence):
         recording = dataclasses.replace(recording, read_from=tuple(dict.fromkeys(read_from)))
     return apply_options(recording, data, extra)
+
+
+def _check_options(name: str, reader: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    known = [p.name for p in inspect.signature(reader).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    if unknown := [option for option in options if option not in known]:
+        raise ValueError(f"{name} has no option {', '.join(unknown)}; it has: {', '.join(known) or 'none'}")
 
 
 def detect_layout(path: str | Path) -> str:

@@ -1,8 +1,7 @@
-"""Graphs as matplotlib figures without pyplot, safe in threads; as SVG; and small ones drawn in a millisecond."""
+"""Graphs as matplotlib figures without pyplot, safe in threads; and small ones drawn in a millisecond."""
 
 import io
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -34,9 +33,6 @@ CARD, CARD_INK = ("#{:02x}{:02x}{:02x}".format(*rgb) for rgb in (pictures.CARD, 
 def rgb_of(colour: str) -> tuple[int, ...]:
     """The bytes of "#rrggbb"."""
     return tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
-
-
-_THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)", PAPER: "var(--card)"}
 
 
 def curve_figure(
@@ -91,31 +87,6 @@ def curve_figure(
         )  # fmt: skip
         legend.set_in_layout(True)
     return figure
-
-
-def figure_svg(figure: "Figure", name: str) -> str:
-    """The figure as an ``<svg>`` element for a page that defines --ink, --muted, --line and --card.
-
-    Text stays text and takes the page's font; ``name`` makes the ids of several figures distinct and is the description
-    for screen readers.
-    """
-    from html import escape
-
-    import matplotlib
-
-    buffer = io.StringIO()
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # the same in every figure, and nothing refers to them
-    for colour, variable in _THEMED.items():
-        svg = svg.replace(colour, variable)
-    # matplotlib writes its size in points; with only the viewBox the page decides
-    svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
-    svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
-    return svg.replace("<svg", f'<svg role="img" aria-label="{escape(name, quote=True)}"', 1)
 
 
 def figure_png(figure) -> bytes:

@@ -1,15 +1,17 @@
 """Elements of HTML pages: pictures with captions and colour bars, and graphs (``templates/parts.html``)."""
 
+import base64
 import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from . import pictures
-from .curves import Numbers, curve_figure, figure_svg
+from .curves import Numbers, curve_figure, figure_png
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from matplotlib.figure import Figure
 
 
 PICTURE_WIDTH = 960
@@ -36,8 +38,13 @@ class PageGraph:
     """A graph that is stored in the page."""
 
     title: str
-    svg: str
-    """An ``<svg>`` element that takes the page's colours."""
+    figure: "Figure"
+
+    @property
+    def src(self) -> str:
+        """The figure as text for an ``<img>``, readable on a light and on a dark page."""
+        self.figure.set_dpi(200)
+        return f"data:image/png;base64,{base64.b64encode(figure_png(self.figure)).decode('ascii')}"
 
 
 def page_picture(
@@ -58,7 +65,7 @@ def page_picture(
 
 def page_graph(title: str, x: Numbers, series: Mapping[str, Numbers], **options: Any) -> PageGraph:
     """A graph for a page; options of ``curve_figure``."""
-    return PageGraph(title, figure_svg(curve_figure(x, series, **options), title))
+    return PageGraph(title, curve_figure(x, series, **options))
 
 
 def fill(template: str, **values: Any) -> str:

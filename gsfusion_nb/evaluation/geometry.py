@@ -284,8 +284,8 @@ def _to_nearest(xyz: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Floa
 def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> dict[str, float]:
     precision, recall = (float((distance < threshold_m).double().mean()) for distance in (to_truth, to_ours))
     return {
-        "accuracy_m": float(to_truth.mean()),
-        "completion_m": float(to_ours.mean()),
+        "accuracy_m": float(to_truth.cpu().numpy().mean()),
+        "completion_m": float(to_ours.cpu().numpy().mean()),
         "precision": precision,
         "completion_ratio": recall,
         "f_score": 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0,

@@ -8,6 +8,7 @@ of red, then 15 of green, then 15 of blue; opacity is a logit, scales are logari
 Meshes are binary little endian, with float32 positions, 8-bit colours and shared vertices.
 """
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,9 @@ import torch
 
 from ..files import SequenceError, atomic_file, open_regular, parsing
 from ..types import GaussianParams, Mesh
+
+FARTHEST = 1e7
+"""No coordinate and no size of a Gaussian is larger in a map, in any unit."""
 
 _REST = 45
 _NAMES = (
@@ -68,7 +72,7 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
 
     Raises:
         FileNotFoundError: The file does not exist. ValueError: The file is not a PLY file of Gaussians, is truncated,
-            or contains NaN; the message names the missing part or the first such row.
+            contains NaN, or Gaussians that no map has; the message names the missing part or the first such row.
     """
     path, what = Path(path), "a PLY file of Gaussians"
     ply = _read(path, what)
@@ -91,13 +95,21 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
         return torch.from_numpy(out)
 
     rest = columns(*rest_names).reshape(len(data), 3, n_rest // 3).transpose(1, 2)
-    return GaussianParams(
+    gaussians = GaussianParams(
         xyz_W=columns("x", "y", "z"),
         log_scale=columns("scale_0", "scale_1", "scale_2"),
         quat=columns("rot_0", "rot_1", "rot_2", "rot_3"),
         opacity_logit=columns("opacity")[:, 0],
         sh=torch.cat([columns(*_NAMES[6:9])[:, None], rest], dim=1),
     )
+    for wrong, rows in (
+        (f"a place beyond {FARTHEST:g}", (gaussians.xyz_W.abs() > FARTHEST).any(dim=1)),
+        (f"a size above {FARTHEST:g}", (gaussians.log_scale > math.log(FARTHEST)).any(dim=1)),
+        ("a rotation whose quaternion is zero", (gaussians.quat == 0).all(dim=1)),
+    ):
+        if rows.any():
+            raise SequenceError(f"{path} has {wrong} in row {int(rows.int().argmax())} of Gaussians; expected {what}")
+    return gaussians
 
 
 def _check_rows(path: Path, columns: np.ndarray, names: tuple[str, ...]) -> None:

@@ -4,7 +4,6 @@ from .map_sequence import FinishedRun as FinishedRun
 from .map_sequence import map_stream as map_stream
 from .map_sequence import resume_mapping as resume_mapping
 from .map_sequence import run_mapping as run_mapping
-from .mapped_contexts import mapped_contexts as mapped_contexts
 from .mapping_run import MappingRun as MappingRun
 from .report import ReportData as ReportData
 from .report import ReportView as ReportView

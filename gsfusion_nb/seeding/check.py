@@ -6,7 +6,6 @@ import random
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
@@ -17,10 +16,10 @@ from torch import Tensor
 from ..checks import shown
 from ..config import SeedingConfig, TsdfConfig
 from ..gaussians import Edit, GaussianModel
-from ..geometry import depth_to_normals, pixel_grid, rays, se3
+from ..geometry import pixel_grid, rays, se3
 from ..render import footprints, render
-from ..tsdf import RaycastOutput, TsdfVolume, integrate
-from ..types import Camera, Frame, GaussianParams, Seeds
+from ..tsdf import TsdfVolume, integrate
+from ..types import Camera, Frame, Seeds
 from .apply import apply_rule, check_memory, context_tensors, copy_memory, equal_memories
 from .context import SeedContext
 from .points import add_up
@@ -47,7 +46,7 @@ _WALL = ((0.2, 0.0, -1.0), -1.9)
 def check_contexts() -> dict[str, SeedContext]:
     """Small scenes by name: a textured slanted wall with a sphere before it, seen from a tilted camera.
 
-    "new": nothing mapped yet; "half seen": the left half was observed before and has Gaussians; "holes": depth missing
+    "new": no Gaussians yet; "half seen": the left half was observed before and has Gaussians; "holes": depth missing
     in stripes; "dark": no depth at all; "odd": 7 x 5 pixels; "tiny": one pixel; "real map": a TSDF volume and a
     Gaussian map made from the first view, seen from a place beside it.
     """
@@ -65,9 +64,15 @@ def check_contexts() -> dict[str, SeedContext]:
     config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
     contexts = {}
     for name, frame in frames.items():
-        seen_left = name == "half seen"
-        volume = SceneVolume(frame.T_WC, seen_left)
-        contexts[name] = SeedContext(frame, volume, _scene_map(frame, seen_left), config=config)
+        volume, gaussians = TsdfVolume(_TSDF), GaussianModel(sh_degree=0)
+        integrate(volume, frame)
+        contexts[name] = ctx = SeedContext(frame, volume, gaussians, config=config)
+        if name == "half seen":
+            left = dataclasses.replace(frame, depth_m=frame.depth_m * (torch.arange(61) < 30))
+            for _ in range(2):
+                integrate(volume, left)
+            places = pixel_grid(frame.camera)[::8, :30:8].reshape(-1, 2)
+            gaussians.append(ctx.seeds_at(places, 2.0, opacity=0.9), frame.index)
     contexts["real map"] = _real_map(new, config)
     return contexts
 
@@ -115,43 +120,6 @@ class Walk:
         self._gaussians.step_count += 5
 
 
-class SceneVolume:
-    """The scene as a TSDF volume that needs no integration: distances come from the formula.
-
-    Voxels in the truncation band have weight 1, or 3 in the left half of the view if that ``seen_left``.
-    """
-
-    def __init__(self, T_WC: Float[Tensor, "4 4"], seen_left: bool):
-        self.config = _TSDF
-        self._T_CW = se3.inverse(T_WC)
-        self._seen_left = seen_left
-
-    def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> Any:
-        """``D``, ``W`` and ``rgb`` at the centres of the voxels that contain the points."""
-        size = self.config.voxel_size_m
-        centre = ((xyz_W / size).floor() + 0.5) * size
-        xyz_C = se3.apply(self._T_CW, centre)
-        D = (_distance(xyz_C) / self.config.truncation_m).clamp(-1.0, 1.0)
-        W = torch.ones_like(D)
-        if self._seen_left:
-            W[xyz_C[:, 0] < 0] = 3.0
-        W[D.abs() >= 1] = 0.0
-        return SimpleNamespace(D=D, W=W, rgb=torch.full_like(xyz_C, 0.5))
-
-    def raycast(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
-        """The surface as a camera at the pose of the scene's sees it."""
-        depth_m, rgb = _scene_images(camera, torch.zeros(3))
-        normal_W = se3.rotate(T_WC, depth_to_normals(camera, depth_m))
-        return RaycastOutput(depth_m=depth_m, normal_W=normal_W, rgb=rgb)
-
-
-def _distance(xyz_C: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
-    centre, radius = xyz_C.new_tensor(_SPHERE[0]), _SPHERE[1]
-    normal = xyz_C.new_tensor(_WALL[0])
-    wall = (xyz_C @ normal - _WALL[1]) / normal.norm()
-    return torch.minimum(wall, (xyz_C - centre).norm(dim=-1) - radius)
-
-
 def _scene_frame(width: int, height: int, shift_m: float = 0.0) -> Frame:
     """The scene by exact ray casting. The wall has four plain quarters and the sphere stripes: cells of several sizes.
 
@@ -179,24 +147,6 @@ def _scene_images(camera: Camera, eye: Float[Tensor, " 3"]) -> tuple[Float[Tenso
     checks = ((point[..., :2] > 0).sum(-1) % 2)[..., None]
     stripes = 0.5 + 0.5 * torch.sin(point * torch.tensor([40.0, 3.0, 11.0]))
     return depth_m, torch.where((z_sphere < z_wall)[..., None], stripes, 0.25 + 0.5 * checks.expand_as(stripes))
-
-
-def _scene_map(frame: Frame, seen_left: bool) -> Any:
-    """Gaussians on the left part of the scene, or none."""
-    W = frame.camera.width
-    uv = pixel_grid(frame.camera)[::8, : W // 2 : 8].reshape(-1, 2) if seen_left else torch.zeros(0, 2)
-    z = frame.depth_m[uv[:, 1].long(), uv[:, 0].long()]
-    xyz_W = se3.apply(frame.T_WC, rays(frame.camera, uv) * z[:, None])
-    n = len(uv)
-    quat = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1)
-    params = GaussianParams(
-        xyz_W=xyz_W,
-        log_scale=torch.full((n, 3), -3.0),
-        quat=quat,
-        opacity_logit=torch.full((n,), 2.0),
-        sh=torch.zeros(n, 1, 3),
-    )
-    return SimpleNamespace(params=params)
 
 
 _STEPS: tuple[tuple[int, Literal["online", "passes"]], ...] = ((1, "online"), (600, "online"), (3000, "passes"))
@@ -233,8 +183,7 @@ def check_rule(
     change to the frame or the map.
 
     It runs in single frames, and through a walk in which a map grows from its own seeds and its memory is kept. There
-    ``after_step`` of a class is called, too, with random gradients, and its edits are made. For a map that GSFusion
-    optimised, see ``gsfusion_nb.runs.mapped_contexts``.
+    ``after_step`` of a class is called, too, with random gradients, and its edits are made.
 
     Args:
         rule: Name, function or class; it need not be registered.

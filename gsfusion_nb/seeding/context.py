@@ -3,7 +3,7 @@
 import functools
 import time
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
@@ -19,18 +19,6 @@ from .points import MapView, PointQueries, view_map
 from .quadtree import Cells, cell_gaussians, quadtree
 
 
-@runtime_checkable
-class VoxelLookup(Protocol):
-    """What a context needs of a TSDF volume."""
-
-    config: Any
-    """Its settings; ``voxel_size_m`` and ``near_m`` are read."""
-
-    def sample_nearest(self, xyz_W: Tensor) -> Any:
-        """Contents of the voxels that contain the points: an object with ``D`` and ``W``."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class SeedContext(ImageFeatures, PointQueries):
     """Everything a seeding rule is given. ``SeedContext(frame)`` alone is enough for rules that need no map.
@@ -40,8 +28,8 @@ class SeedContext(ImageFeatures, PointQueries):
 
     frame: Frame
     """The frame that the seeds are made from."""
-    volume: VoxelLookup | None = None
-    """TSDF volume, for ``voxel_weight``, ``tsdf`` and ``voxel_index``."""
+    volume: Any = None
+    """TSDF volume (``TsdfVolume`` or ``FusedView``), for ``voxel_weight``, ``tsdf`` and ``voxel_index``."""
     gaussians: Any = None
     """Gaussian map, for ``map`` and ``render``: an object whose ``params`` is a GaussianParams."""
     _: KW_ONLY
@@ -224,9 +212,7 @@ class SeedContext(ImageFeatures, PointQueries):
     def raycast(self) -> RaycastOutput:
         """The surface of the TSDF that the frame's camera sees, with this frame fused into it: ``depth_m`` [H, W],
         ``normal_W`` and ``rgb`` [H, W, 3]; zero where no ray meets one. In a mapper it needs a copy of the volume."""
-        volume: Any = self._need_volume("raycast()")
-        if not isinstance(volume, TsdfVolume) and not hasattr(volume, "raycast"):
-            raise ValueError(f"raycast() needs a TSDF volume that rays can be cast into, got {type(volume).__name__}")
+        volume = self._need_volume("raycast()")
         cast = functools.partial(raycast, volume) if isinstance(volume, TsdfVolume) else volume.raycast
         return self._once("raycast", lambda: cast(self.camera, self.frame.T_WC))
 
@@ -280,7 +266,7 @@ class SeedContext(ImageFeatures, PointQueries):
             self._cache[key] = make()
         return self._cache[key]
 
-    def _need_volume(self, what: str) -> VoxelLookup:
+    def _need_volume(self, what: str) -> Any:
         if self.volume is None:
             raise ValueError(
                 f"{what} needs a TSDF volume, but this SeedContext has none: pass volume=, or use a rule "

@@ -5,7 +5,6 @@ import math
 import statistics
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -164,13 +163,9 @@ COST_GATE_M = 0.03
 class UsualFit:
     """How well the last frames fitted: a sudden change for the worse is often a wrong pose."""
 
-    def __init__(self, fits: list[tuple[float, float]] | None = None):
-        self.fits = fits or []
-        """rms_m and inlier_share of the last frames."""
-
-    def copy(self) -> "UsualFit":
-        """The same, unchanged by what is added later."""
-        return UsualFit(list(self.fits))
+    def __init__(self):
+        self.fits: list[tuple[float, float]] = []
+        """rms_m and inlier_share of the last frames; ``add`` makes another list."""
 
     def add(self, result: IcpResult) -> None:
         """Remember the fit of one more frame."""
@@ -186,15 +181,6 @@ class UsualFit:
         if result.inlier_share < UNUSUAL_SHARE * share:
             return f"{result.inlier_share:.0%} of its pixels fit the model, usually {share:.0%}"
         return ""
-
-    def state(self) -> Tensor:
-        """For a checkpoint."""
-        return torch.tensor(self.fits, dtype=torch.float64).view(-1, 2)
-
-    @classmethod
-    def of_state(cls, state: Tensor) -> "UsualFit":
-        """What ``state`` saved."""
-        return cls([(float(rms_m), float(share)) for rms_m, share in state])
 
 
 def best_of(sight: Sight, fits: list[Attempt], config: TrackingConfig) -> Attempt:

@@ -17,14 +17,13 @@ from torch import Tensor
 from ..checks import check_pose
 from ..geometry import quaternion, se3
 from ..types import Camera, Frame
-from .bundle_adjustment import Adjusted, adjust
+from .bundle_adjustment import adjust
 from .features import FEATURES, LEVELS, Features
 from .landmark_map import LandmarkMap
 from .loops import LoopFinder
 from .matching import PointPairs, RelativePose, refine_pose
 from .pose_graph import (
     Edge,
-    Optimised,
     edge_error,
     fit_odometry,
     odometry_information,
@@ -45,9 +44,6 @@ class Correction:
     """Camera-to-world, float64."""
     loops: list[tuple[int, int, int]]
     """(frame index, earlier frame index, matches that agree) of the loops found since the last correction."""
-    error_before: float
-    error_after: float
-    """Half the sum of robust squared errors of the graph, in standard deviations."""
 
     def transform_of(self, frame_index: Int[Tensor, " N"]) -> Float[Tensor, "N 4 4"]:
         """The motion of the world near each frame: T_new T_old^-1, blended between the keyframes before and after.
@@ -176,7 +172,7 @@ class BackEnd:
         """Add a keyframe; if it closes a loop that the trajectory does not, optimise the poses.
 
         Args:
-            frame: Colour and depth; its own pose is not used.
+            frame: Colour and depth, later than those before; its own pose is not used.
             T_WC: The front end's pose, in the world as corrected so far. [4, 4]
             features: Those of the frame, if they were extracted before.
 
@@ -184,9 +180,9 @@ class BackEnd:
             The correction, or None if there is none.
 
         Raises:
-            ValueError: an index that does not increase, another camera, a pose that is not rigid.
+            ValueError: a pose that is not rigid.
         """
-        self._check(frame, T_WC)
+        check_pose("T_WC", T_WC)
         T_WC = se3.rigid(T_WC.detach().cpu().double())
         if features is None:
             features = self.database.extract(frame)
@@ -199,17 +195,6 @@ class BackEnd:
     def finish(self) -> Correction | None:
         """Optimise all poses and landmarks together, once; None with fewer than two keyframes."""
         return self._correct(landmarks=True) if len(self) > 1 else None
-
-    def _check(self, frame: Frame, T_WC: Tensor) -> None:
-        check_pose("T_WC", T_WC)
-        if frame.camera != self.camera:
-            raise ValueError(
-                f"frame {frame.index} must come from the back end's camera {self.camera}, got {frame.camera}"
-            )
-        if len(self) and frame.index <= self.database.index[-1]:
-            raise ValueError(
-                f"keyframes must come in the order of their frames, got {frame.index} after {self.database.index[-1]}"
-            )
 
     def _tie(self, row: int, around: list[int], T_seen: Tensor) -> None:
         """Add edges to the previous keyframe (odometry) and to those with most common landmarks, which give the
@@ -249,11 +234,10 @@ class BackEnd:
         """Optimise the poses with relative poses and then, with ``landmarks``, also with the landmarks. Landmarks that
         loops show to be the same become one."""
         old = self.T_WC
-        result: Optimised | Adjusted = optimise_poses(old, fit_odometry(self.edges))
-        self.map.move(result.T_WC)
+        self.map.move(optimise_poses(old, fit_odometry(self.edges)).T_WC)
         self.landmarks.fuse(self._true_loops())
         if landmarks:
-            result = self._with_landmarks()
+            self._with_landmarks()
         self.map.collect()
         fresh, self._fresh_loops = self._fresh_loops, []
         return Correction(
@@ -261,8 +245,6 @@ class BackEnd:
             T_WC_old=old,
             T_WC_new=self.T_WC,
             loops=fresh,
-            error_before=result.error_before,
-            error_after=result.error_after,
         )
 
     def _true_loops(self) -> list[tuple[int, Tensor]]:
@@ -270,7 +252,7 @@ class BackEnd:
         loops, T_WC = [e for e in self.edges if e.kind == "loop"], self.T_WC
         return [loop for loop, e in zip(self.loops, loops, strict=True) if edge_error(e, T_WC) < LOOP_MAX_SIGMA]
 
-    def _with_landmarks(self) -> Adjusted:
+    def _with_landmarks(self) -> None:
         """Adjust all poses but the first, and the landmarks, which keep what was found."""
         seen = self.landmarks.observations(per_keyframe=LANDMARKS_PER_KEYFRAME)
         steps = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
@@ -278,7 +260,6 @@ class BackEnd:
         found = adjust(self.camera, self.T_WC, seen, odometry, torch.arange(len(self)) == 0, iterations=20)
         self.map.move(found.T_WC)
         self.landmarks.refine(seen.name, found.xyz_W)
-        return found
 
     def state_dict(self) -> dict[str, Any]:
         """Everything except the settings: numbers, lists and tensors."""

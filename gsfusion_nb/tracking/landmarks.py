@@ -159,14 +159,12 @@ class Landmarks:
         self,
         *,
         per_keyframe: int,
-        min_views: int = 2,
         keyframes: list[int] | None = None,
     ) -> Observations:
-        """Observations of landmarks that at least ``min_views`` keyframes see, reduced to ``per_keyframe`` of each.
+        """Observations of landmarks that at least two keyframes see, reduced to ``per_keyframe`` of each.
 
         Args:
             per_keyframe: About this many landmarks of each keyframe are used, those with the longest tracks.
-            min_views: Landmarks with fewer observations are left out.
             keyframes: Rows of the keyframes whose observations count; all by default.
         """
         rows = list(range(len(self.of_feature))) if keyframes is None else keyframes
@@ -183,7 +181,7 @@ class Landmarks:
         start = np.maximum.accumulate(
             np.where(np.diff(row[sighting][order], prepend=-1) != 0, np.arange(len(order)), 0)
         )
-        chosen = (np.arange(len(order)) - start < per_keyframe) & (length[order] >= min_views)
+        chosen = (np.arange(len(order)) - start < per_keyframe) & (length[order] >= 2)
         kept = np.isin(name, name[order][chosen])
         sighting, name = sighting[kept], name[kept]
         _, born, number = np.unique(name, return_index=True, return_inverse=True)

@@ -75,9 +75,8 @@ class Tracker:
 
     def __init__(self, config: TrackingConfig | None = None):
         self.config = config or TrackingConfig()
-        self.n_lost = 0
-        """Number of frames that could not be tracked."""
         self.lost_in_a_row = 0
+        """Number of frames that could not be tracked, up to the last one."""
         self._last: _TrackedPose | None = None
         self._before: _TrackedPose | None = None
         """The frame before the last one, if both were tracked; the motion between them is the velocity."""
@@ -85,17 +84,14 @@ class Tracker:
         """The frame that a hybrid target is mixed with."""
         self._usual = UsualFit()
 
-    def __repr__(self) -> str:
-        return f"Tracker({'not started' if self._last is None else 'running'}, {self.n_lost} frames lost)"
-
     @property
     def standing(self) -> tuple[Any, ...]:
         """The state of the path (last poses and last frame), opaque to others, so that a step can be undone."""
-        return self._last, self._before, self.lost_in_a_row, self._own, self._usual.copy()
+        return self._last, self._before, self.lost_in_a_row, self._own, self._usual.fits
 
     @standing.setter
     def standing(self, standing: tuple[Any, ...]) -> None:
-        self._last, self._before, self.lost_in_a_row, self._own, self._usual = standing
+        self._last, self._before, self.lost_in_a_row, self._own, self._usual.fits = standing
 
     def track(
         self,
@@ -123,7 +119,7 @@ class Tracker:
             guess: The pose that they give; ICP starts from it first.
 
         Raises:
-            TrackingLostError: no start led to a pose that fits. Only the counts of lost frames change, so the next
+            TrackingLostError: no start led to a pose that fits. Only the count of lost frames changes, so the next
                 frame is tried again.
         """
         sight = Sight.of(frame, self.config, extra)
@@ -207,22 +203,21 @@ class Tracker:
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue later from exactly this state, as tensors and plain values."""
         return {
-            "n_lost": self.n_lost,
             "lost_in_a_row": self.lost_in_a_row,
             "last": self._last and dataclasses.asdict(self._last),
             "before": self._before and dataclasses.asdict(self._before),
             "own": self._own and dataclasses.asdict(self._own),
-            "usual_fit": self._usual.state(),
+            "usual_fit": list(self._usual.fits),
         }
 
     @classmethod
     def from_state_dict(cls, config: TrackingConfig, state: dict[str, Any]) -> "Tracker":
         """The tracker that was saved with ``state_dict``; the settings are stored elsewhere."""
         tracker = cls(config)
-        tracker.n_lost, tracker.lost_in_a_row = state["n_lost"], state["lost_in_a_row"]
+        tracker.lost_in_a_row = state["lost_in_a_row"]
         tracker._last, tracker._before = (saved and _TrackedPose(**saved) for saved in (state["last"], state["before"]))
         tracker._own = state["own"] and _OwnFrame(**state["own"])
-        tracker._usual = UsualFit.of_state(state["usual_fit"])
+        tracker._usual.fits = [(rms_m, share) for rms_m, share in state["usual_fit"]]
         return tracker
 
     def _starts(
@@ -266,7 +261,6 @@ class Tracker:
             self._own = _OwnFrame(T_WC=T_WC, depth_m=frame.depth_m, rgb=rgb)
 
     def _lost(self, reason: str) -> TrackingLostError:
-        self.n_lost += 1
         self.lost_in_a_row += 1
         return TrackingLostError(reason)
 

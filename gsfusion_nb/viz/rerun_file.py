@@ -16,10 +16,7 @@ from ..geometry import quaternion
 from ..geometry.upright import world_up
 from ..mapping import Mapper, StepReport
 from ..types import Camera, Frame, GaussianParams, Mesh
-from .meshes import decimated
 
-MESH_TRIANGLES = 150_000
-"""A mesh is thinned out to this many before it is written: 3 MB."""
 _UP = {(0, 0, 1): "RIGHT_HAND_Z_UP", (0, 1, 0): "RIGHT_HAND_Y_UP", (0, -1, 0): "RIGHT_HAND_Y_DOWN"}
 _DEPTH_STEPS_PER_M = 1000.0
 
@@ -95,10 +92,9 @@ class RerunFile:
     def _maps(self, mapper: Mapper, mesh: Mesh) -> None:
         self._to.log("world/gaussians", _splats(self._rr, mapper.gaussians.params))
         if len(mesh.faces):
-            small = decimated(mesh, MESH_TRIANGLES)
             triangles = self._rr.Mesh3D(
-                vertex_positions=small.vertices_W.cpu().numpy(), triangle_indices=small.faces.cpu().numpy(),
-                vertex_colors=to_uint8(small.rgb[None])[0],
+                vertex_positions=mesh.vertices_W.cpu().numpy(), triangle_indices=mesh.faces.cpu().numpy(),
+                vertex_colors=to_uint8(mesh.rgb[None])[0],
             )  # fmt: skip
             self._to.log("world/mesh", triangles)
 

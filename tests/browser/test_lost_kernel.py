@@ -9,13 +9,11 @@ CELLS = [
 import torch
 torch.set_num_threads(1)
 from gsfusion_nb.compare.bench.scene import random_scene
-from gsfusion_nb.types import Camera, Mesh
-from gsfusion_nb.viz import SplatViewer, one_gaussian_panel, show_mesh
-xyz, faces = torch.rand(60, 3), torch.arange(60).view(20, 3)
+from gsfusion_nb.types import Camera
+from gsfusion_nb.viz import SplatViewer, one_gaussian_panel
 """,
     "viewer = SplatViewer(random_scene(400, 160, 120).params, width=160, height=120)\nviewer",
     "panel = one_gaussian_panel(Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0))\npanel",
-    "show_mesh(Mesh(vertices_W=xyz, faces=faces, rgb=xyz), size=(160, 120))",
 ]
 IDLE = "window.jupyterapp?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
 SENTENCE = "Run this cell again."
@@ -34,7 +32,7 @@ def test_views_work_after_a_reload_and_say_what_to_do_after_a_restart(lab):
     lab.move_slider(page.locator(".gsnb-one-gaussian-z_m"), 2)
     lab.wait_for(lambda: lab.value(page, "panel.values['z_m']") == 1.7, "the slider after the reload")
     page.evaluate("window.jupyterapp.shell.currentWidget.sessionContext.session.kernel.restart()")
-    for name in (".gsnb-one-gaussian .gsnb-lost", ".gsnb-splat-message", ".gsnb-mesh-words"):
+    for name in (".gsnb-one-gaussian .gsnb-lost", ".gsnb-splat-message"):
         place = page.locator(name).first
         lab.wait_for(lambda place=place: SENTENCE in place.inner_text(), f"the sentence in {name}")
     lab.screenshot(page.locator(".gsnb-one-gaussian").first, "lost_kernel")

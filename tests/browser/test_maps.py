@@ -1,4 +1,4 @@
-"""The finished maps as a person looks at them: a mesh and Gaussians to turn, a volume to fill; without a network."""
+"""The finished maps as a person looks at them: Gaussians to turn, a volume to fill; without a network."""
 
 import base64
 import time
@@ -13,16 +13,12 @@ MAP = """
 import torch
 torch.set_num_threads(1)
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
-from gsfusion_nb.viz import SplatViewer, tsdf_fill_panel, point_panel, show_mesh
+from gsfusion_nb.viz import SplatViewer, tsdf_fill_panel, point_panel
 config = gsfusion("room", tsdf__voxel_size_m=0.02)
 walk = open_sequence("room", data=config.data, n_frames=60)
 mapper = GSFusion(config)
 for i in range(6):
     mapper.step(walk.mapping[i])
-"""
-MESH = """
-viewer = show_mesh(mapper.mesh(), size=(480, 360))
-viewer
 """
 SPLATS = """
 splats = SplatViewer(mapper)
@@ -43,76 +39,9 @@ fill
 
 @pytest.fixture(scope="module")
 def page(lab):
-    page = lab.open([MAP, MESH, SPLATS, POINTS, FILL])
+    page = lab.open([MAP, SPLATS, POINTS, FILL])
     yield page
     page.close()
-
-
-def mesh_pixels(page):
-    """Bytes of the mesh viewer's canvas. [H, W, 3]"""
-    url = page.evaluate("document.querySelector('.gsnb-mesh-scene canvas').toDataURL('image/png')")
-    png = np.frombuffer(base64.b64decode(url.split(",")[1]), np.uint8)
-    return np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR))[..., ::-1].astype(int)
-
-
-def kind(page):
-    return page.locator(".gsnb-mesh-scene").get_attribute("data-picture")
-
-
-def settled(page):
-    """The fine picture, when the camera is at rest."""
-    last = mesh_pixels(page)
-    for _ in range(100):
-        time.sleep(0.3)
-        now = mesh_pixels(page)
-        if (now == last).all() and kind(page) == "fine":
-            return now
-        last = now
-    raise AssertionError("the picture does not come to rest")
-
-
-def test_a_mesh_is_turned_offline(lab, page):
-    scene = page.locator(".gsnb-mesh-scene")
-    scene.scroll_into_view_if_needed()
-    lab.wait_for(lambda: lab.value(page, "viewer.stats.get('pictures', 0)") > 0, "the first picture")
-    before = settled(page)
-    painted = np.array(lab.value(page, "viewer.picture().tolist()"))
-    assert before.std() > 20
-    assert np.abs(before - painted).mean() < 8  # the same view, upright and not mirrored
-    assert np.abs(before - painted[:, ::-1]).mean() > 12
-    lab.screenshot(page.locator(".gsnb-mesh-scene").first, "mesh")
-
-    box = scene.bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x + 120, y + 20, steps=12)
-    for _ in range(10):  # the button is down and nothing moves: longer than a fine picture would wait and take
-        time.sleep(0.1)
-        assert kind(page) == "coarse"
-    page.mouse.up()
-    turned = settled(page)
-    assert np.abs(turned - before).mean() > 5
-    lab.wait_for(lambda: lab.value(page, "viewer.pose != viewer.home"), "the pose in Python")
-    painted = np.array(lab.value(page, "viewer.picture().tolist()"))
-    assert np.abs(turned - painted).mean() < 8
-    lab.screenshot(page.locator(".gsnb-mesh-scene").first, "mesh_turned")
-
-    page.mouse.wheel(0, -300)  # the scene has the focus since the click
-    zoomed = settled(page)
-    assert np.abs(zoomed - turned).mean() > 2
-    page.mouse.dblclick(x, y)
-    page.keyboard.press("ArrowLeft")
-    assert np.abs(settled(page) - zoomed).mean() > 1
-    lab.run(page, "viewer.shading = 'shape'")
-    lab.wait_for(lambda: np.ptp(mesh_pixels(page), axis=-1).max() <= 4, "a grey surface")
-    lab.run(page, "viewer.shading = 'colour'")
-    page.keyboard.press("r")
-    assert np.abs(settled(page) - before).mean() < 0.5
-    outputs = page.locator(".jp-OutputArea").all_inner_texts()
-    assert not any("Traceback" in text or "Error" in text for text in outputs)
-    assert lab.errors == []
-    assert lab.requests == []
 
 
 def splat_pixels(page):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -9,6 +10,8 @@ import time
 
 import pytest
 
+from gsfusion_nb.compare import executors
+from gsfusion_nb.compare.command import WhereOptions, run_and_write
 from gsfusion_nb.compare.executors import on_dask
 from gsfusion_nb.compare.map_scene import Entry
 from gsfusion_nb.compare.run_all import ResultStore, run_all
@@ -50,6 +53,23 @@ def test_a_worker_that_is_killed_changes_no_number(distributed, spec, tmp_path):
         assert victim not in client.run(os.getpid).values()
     assert [there[i].reason for i in range(12)] == [""] * 12
     assert {i: numbers(r) for i, r in there.items()} == {i: numbers(r) for i, r in here.items()}
+
+
+def test_a_cluster_that_loses_its_last_worker_ends_with_a_sentence(distributed, spec, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(executors, "NO_WORKER_S", 0.5)
+    monkeypatch.setattr(executors, "_LOOK_S", 0.1)
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
+        options = WhereOptions(dask=cluster.scheduler_address, cache=False)
+        assert run_and_write([spec()], tmp_path / "a", options) == (1, [])
+        with distributed.Client(cluster) as client:
+            cluster.scale(1)
+            client.wait_for_workers(1, timeout=60)
+            runs = run_all([Entry(spec=spec(seed=s)) for s in range(6)], ResultStore(tmp_path / "b"), on_dask(client))
+            next(runs)
+            cluster.scale(0)
+            with pytest.raises(executors.NoWorkerError, match=re.escape(cluster.scheduler_address)):
+                list(runs)
+    assert "no worker" in capsys.readouterr().err
 
 
 CLUSTER = "--nthreads 1 --no-dashboard --local-directory"

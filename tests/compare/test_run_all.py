@@ -29,6 +29,7 @@ def entries(spec):
 def numbers(result: RunResult) -> dict:
     """Everything but times and where it was found."""
     values: dict[str, Any] = dataclasses.asdict(result)
+    del values["copied_from"]
     values["metrics"] = {k: v for k, v in values["metrics"].items() if k not in MEASURED}
     return values
 
@@ -62,6 +63,8 @@ def test_runs_are_done_once(entries, tmp_path):
     assert again.done == []
     assert numbers(reused[1]) == numbers(results[1])
     assert reused[2].spec.label == "another name"
+    assert {r.copied_from for r in results.values()} == {""}
+    assert {r.copied_from for r in reused.values()} == {str(tmp_path / "cache")}
     edited = [Entry(spec=dataclasses.replace(entries[1].spec, seed=2))]
     assert dict(run_all(edited, other, again))[0].status == "done"
     assert again.done == ["run"]  # its tuning is known
@@ -131,6 +134,11 @@ def test_two_commands_in_one_folder_and_two_on_one_cache(spec, tmp_path, monkeyp
     assert [result.status for _, result in found] == ["done"] * 4
     assert len({result.map_hash for i, result in found if i == 0}) == 1
     assert run_and_write([spec()], tmp_path / "d", options)[0] == 0
+    assert "1 of 1 runs were copied" in (tmp_path / "d" / "table.md").read_text()
+    assert str(tmp_path / "cache") in (tmp_path / "d" / "runs.csv").read_text()
+    status, (run,) = run_and_write([spec()], tmp_path / "e", WhereOptions(cache=False))
+    assert (status, run.copied_from, run.map_hash) == (0, "", found[0][1].map_hash)
+    assert "copied from" not in (tmp_path / "e" / "table.md").read_text()
 
 
 @pytest.mark.ci

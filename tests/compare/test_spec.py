@@ -3,8 +3,10 @@
 import json
 
 import pytest
+import torch
 
-from gsfusion_nb.compare import Budget, RunResult, RunSpec
+from gsfusion_nb.compare import Budget, RunResult, RunSpec, entries_of
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.seeding import seeding_rule
 
 SPEC = RunSpec(
@@ -94,3 +96,11 @@ def test_a_result_is_written_and_read_back(tmp_path):
     (tmp_path / "a.json").write_text('{"spec": {}}')
     with pytest.raises(ValueError, match="is not the result of a run"):
         RunResult.load(tmp_path / "a.json")
+
+
+def test_extra_images_are_part_of_the_key(scene):
+    def key(value):
+        sequence = open_sequence(scene, extra=lambda frame: {"label": torch.full_like(frame.depth_m, value)})
+        return entries_of(["uniform"], [sequence])[0].spec.key
+
+    assert key(1.0) == key(1.0) != key(0.0)

@@ -101,13 +101,6 @@ def test_the_chapter_goes_on_and_says_with_whose_code(twice, capsys):
     assert "`return x + (x if len(str(x)) < 99 else 1 / 0)`: division by zero" in said
 
 
-def test_the_references_cannot_be_handed_in(twice):
-    ours = twice.working(abs)
-    assert twice(ours).state == twice(lambda x: ours(x)).state == "failed"
-    assert "write your own" in repr(twice(ours))
-    assert not any(getattr(twice, name, None) is double for name in dir(twice) if not name.startswith("_"))
-
-
 def test_a_crash_names_the_line(twice):
     def crash(x):
         y = x
@@ -126,7 +119,7 @@ def test_the_solution_opens_after_a_try(twice, monkeypatch, tmp_path):
     twice(lambda x: x)
     assert repr(twice.solution()) == "def twice(x):\n    return 2 * x"
     twice.tries = 0
-    assert "def twice(x)" in twice.solution()._repr_html_()  # a later session
+    assert "def twice(x)" in repr(twice.solution())  # a later session
     twice(doubled)
     entry = read_section("exercises")["twice"]
     assert entry["tries"] == 2

@@ -25,9 +25,6 @@ def test_three_ways_agree_on_a_right_gradient():
     table = compare_gradients(torch.sin, lambda v, x: v * x.cos(), {"x": X})
     assert table
     assert "all three agree" in repr(table)
-    html = table._repr_html_()
-    assert "✓" in html
-    assert "✗" not in html
 
 
 def test_three_ways_find_one_wrong_element():
@@ -39,7 +36,6 @@ def test_three_ways_find_one_wrong_element():
     table = compare_gradients(torch.sin, almost, {"x": X})
     assert not table
     assert "do NOT agree" in repr(table)
-    assert "✗" in table._repr_html_()
 
 
 def test_three_ways_name_the_input_that_is_wrong():

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb.course.attempt import Failed
-from gsfusion_nb.course.exercise import exercises
-from gsfusion_nb.course.grading.marks import Mark, Points, as_csv, exercises_of, grade, read_points
+from gsfusion_nb.course.grading.marks import Mark, as_csv, exercises_of, grade
 from gsfusion_nb.course.grading.sandbox import Limits, verdicts
 from gsfusion_nb.course.grading.submission import Cell, choose, find_submissions, needed, read_code
 
@@ -28,7 +27,7 @@ EXPECTED = {
 def test_six_submissions_get_the_marks_that_they_deserve():
     submissions = find_submissions([SUBMISSIONS])
     names = exercises_of((2,), (), submissions)
-    marks = grade(submissions, names, points=Points(), limits=Limits(seconds=30.0))
+    marks = grade(submissions, names, limits=Limits(seconds=30.0))
     got = {name: tuple(int(m.points) for m in marks if m.student == name) for name in EXPECTED}
     assert got == EXPECTED
     said = {(m.student, m.exercise): f"{m.prop}; {m.message}" for m in marks}
@@ -84,17 +83,6 @@ def test_no_cell_of_the_table_is_a_formula():
     assert len(rows) == 1 + len(names)
     assert all(not row[i].lstrip().startswith(("=", "+", "-", "@")) for row in rows[1:] for i in (0, 5))
     assert rows[1][2:4] == ["1.5", "2"]
-
-
-def test_points_from_a_table(tmp_path):
-    table = tmp_path / "points.toml"
-    table.write_text("[difficulty]\n1 = 4\n[exercise]\npsnr = 2.5\n")
-    points = read_points(table)
-    assert [points.of(exercises()[name]) for name in ("exam_frames", "psnr", "adam")] == [4, 2.5, 3]
-    for text, words in (("[exercise]\npsrn = 1", "psrn"), ("[difficulty]\n1 = -1", "-1"), ("x", "points")):
-        table.write_text(text)
-        with pytest.raises(ValueError, match=words):
-            read_points(table)
 
 
 def test_a_function_that_ends_its_process_or_sleeps_leaves_the_next_one_alone():

@@ -142,10 +142,8 @@ def test_the_board_shows_whose_code_ran():
         quadtree(torch.zeros(8, 8, 3, dtype=torch.uint8))
     board = mine.board()
     assert board.yours == ["l1_vjp"]
-    text, page = repr(board), board._repr_html_()
+    text = repr(board)
     assert [line.split()[1] for line in text.splitlines()[1:3]] == ["YOURS", "reference"]
-    assert "#1a7f37" in page
-    assert "#6e7781" in page
     assert "1 of " in text
 
 

@@ -47,6 +47,5 @@ def test_the_papers_tables_and_ours_beside_them():
     thresholds = PaperComparison("VIII", {k: {"PSNR": 20.0} for k in ("10", "200", "50")})
     assert [row[0] for row in thresholds.lines()[1:]] == ["10", "40", "50", "90", "200"]
     assert "Table VII" in repr(table)
-    assert "<td>20.00 (28.64)</td>" in table._repr_html_()
     with pytest.raises(KeyError, match="IV, V, VI, VII, VIII"):
         PaperComparison("III", {})

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gsfusion_nb.course import progress
-from gsfusion_nb.course.progress import CourseFileError, count, course_file, note, read_section, reset
+from gsfusion_nb.course.progress import CourseFileError, course_file, note, read_section, reset
 
 
 @pytest.fixture(autouse=True)
@@ -21,8 +21,7 @@ def test_notes_are_merged_and_unknown_sections_kept(course):
     course.parent.mkdir()
     course.write_text(json.dumps({"format": 1, "functions": {"f": {"source": "def f(): ..."}}}))
     note("exercises", "psnr", passed="today")
-    count("exercises", "psnr", "tries")
-    count("exercises", "psnr", "tries")
+    note("exercises", "psnr", tries=2)
     assert read_section("exercises") == {"psnr": {"passed": "today", "tries": 2}}
     assert read_section("functions") == {"f": {"source": "def f(): ..."}}
 

@@ -169,7 +169,7 @@ def test_a_voxel_has_the_values_of_the_volume(frames):
 def test_the_birth_of_a_gaussian_is_its_cell(traced, frames):
     mapper, trace, _ = traced
     born = trace.gaussian(0).birth
-    assert (born.cause, born.frame_index, born.rule, born.voxel_W) == ("seed", frames[0].index, "gsfusion", 1.0)
+    assert (born.cause, born.frame_index, born.rule) == ("seed", frames[0].index, "gsfusion")
     x, y, w, h, level = born.cell
     assert born.uv == pytest.approx((x + w / 2, y + h / 2), abs=1e-3)
     assert level == born.tag == int(mapper.gaussians.tag[0])

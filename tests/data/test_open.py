@@ -141,3 +141,8 @@ def test_who_gives_a_bag_to_map_is_sent_to_convert(tmp_path):
     for path in (tmp_path / "a.bag", tmp_path):
         with pytest.raises(SequenceError, match=r"gsfusion-nb convert"):
             open_sequence(path)
+
+
+def test_an_option_that_the_reader_lacks_is_named():
+    with pytest.raises(ValueError, match=r"noize.*noise"):
+        open_sequence("room", noize="kinect")

@@ -101,3 +101,12 @@ def test_errors_are_sentences(tmp_path, generator):
     path.write_bytes(path.read_bytes()[:-10])
     with pytest.raises(ValueError, match="early end-of-file"):
         read_gaussian_ply(path)
+
+
+@pytest.mark.parametrize(("column", "value"), [("xyz_W", 5.9e34), ("log_scale", 86.0), ("quat", 0.0)])
+def test_gaussians_that_no_map_has_are_refused_with_their_row(tmp_path, generator, column, value):
+    params = gaussians(3, 0, generator)
+    getattr(params, column)[1] = value
+    write_gaussian_ply(tmp_path / "g.ply", params)
+    with pytest.raises(ValueError, match="row 1"):
+        read_gaussian_ply(tmp_path / "g.ply")

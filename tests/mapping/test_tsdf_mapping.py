@@ -43,7 +43,7 @@ def correct(mapper, shift_m):
     old = torch.stack([mapper.localiser.poses[0], mapper.localiser.poses[-1]]).double()
     new = torch.stack([old[0], se3.translate(old[1], torch.tensor([shift_m, 0, 0], dtype=torch.float64))])
     ends = torch.tensor([mapper.localiser.frame_indices[i] for i in (0, -1)])
-    found = Correction(frame_index=ends, T_WC_old=old, T_WC_new=new, loops=[], error_before=1.0, error_after=0.0)
+    found = Correction(frame_index=ends, T_WC_old=old, T_WC_new=new, loops=[])
     mapper._follow(mapper.localiser._apply(found))
 
 

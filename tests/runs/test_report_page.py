@@ -117,10 +117,10 @@ def test_the_whole_page(generator, tmp_path):
         "of 42 frames",
         "not computed: package 'lpips' is not installed", "0.72 cm", "my_own", "tsdf.voxel_size_m", "0.01", "threads",
         "SuperSplat", "notes.txt", "PSNR 21.50 dB · SSIM 0.710", "Quadtree", "2 cells", "2.00 m", "10 cm or more",
-        "time, ms", "PSNR, dB", "keyframe", "pass over the keyframes", "All 6 frames", "integrate",
+        "All 6 frames",
     ):  # fmt: skip
         assert text in page.words, text
-    assert len(page.images) == 6 + 6 + 1 + 1
+    assert len(page.images) == 6 + 6 + 1 + 1 + 5  # the last ones are graphs
     assert page.words.index("Frame 4") < page.words.index("Frame 7")
 
 

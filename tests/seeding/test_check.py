@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.runs import mapped_contexts
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, check_rule, registered
 
 SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "monogs_like", "photo_slam", "vg_mapping", "vings")
@@ -25,7 +24,6 @@ def test_every_registered_rule_keeps_the_contract(name):
     assert name in SEED_WHAT_IS_MAPPED or report.seeds["new"] > report.seeds["half seen"]
     assert report.seeds["dark"] == 0
     assert "keeps the contract" in repr(report)
-    assert check_rule(name, mapped_contexts()).seeds["turned"] > 0
 
 
 def brightens_frame(ctx):
@@ -102,7 +100,7 @@ def ignores_holes(ctx):
     [
         (brightens_frame, r"'brightens_frame', scene 'new': it changed frame\.rgb in place; work on a copy"),
         (moves_map, r"'moves_map', scene '[\w ]+': it changed map\.xyz_W in place"),
-        (moves_real_map_as_array, r"scene 'real map': it changed map\.xyz_W in place"),
+        (moves_real_map_as_array, r"scene 'half seen': it changed map\.xyz_W in place"),
         (every_tenth, "scene 'new': it keeps something from one frame to the next"),
         (global_torch, "drew random numbers from torch's global generator"),
         (seeds_torch, "drew random numbers from torch's global generator"),
@@ -140,7 +138,6 @@ def test_a_class_rule_with_a_memory_keeps_the_contract():
     report = check_rule(NewVoxels)
     assert report.seeds["walk"] > 0
     assert "except in ctx.memory" in repr(report)
-    assert check_rule(NewVoxels, mapped_contexts()).seeds["turned"] > 0
 
 
 @dataclass(frozen=True, kw_only=True)

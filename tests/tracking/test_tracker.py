@@ -39,7 +39,7 @@ def test_a_steady_motion_is_followed(plane_scene, assert_pose):
     assert last.inlier_share > 0.9
     assert last.overlap_inlier_share > 0.9
     assert len(last.history) > 0
-    assert tracker.n_lost == 0
+    assert tracker.lost_in_a_row == 0
 
 
 def test_the_first_pose_is_the_datas_and_no_other(plane_scene, assert_pose):
@@ -100,7 +100,7 @@ def test_a_jump_is_lost_and_found_when_the_stream_returns(plane_scene, assert_po
     for i in range(3):
         with pytest.raises(TrackingLostError, match=r"frame 1\d cannot be tracked: from the .* pose .*%.*wide limits"):
             tracker.track(other.frame(elsewhere, 10 + i), corner)
-    assert tracker.n_lost == 3
+    assert tracker.lost_in_a_row == 3
     back = path(1, start=5)[0]
     report = tracker.track(corner.frame(back, 20), corner)
     assert (report.status, report.start) == ("ok", "the last pose")
@@ -160,7 +160,7 @@ def test_state_round_trip_goes_on_the_same(plane_scene, target):
     torch.save(tracker.state_dict(), buffer)
     buffer.seek(0)
     copy = Tracker.from_state_dict(config, torch.load(buffer, weights_only=True))
-    assert (copy.n_lost, copy.lost_in_a_row) == (1, 1)
+    assert copy.lost_in_a_row == 1
     frames = [scene.frame(T, 5 + i) for i, T in enumerate(path(2, start=5))]
     for frame in frames:
         a, b = tracker.track(frame, scene), copy.track(frame, scene)

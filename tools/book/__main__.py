@@ -18,7 +18,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m book", description="Builds the web book.")
     parser.add_argument("out", type=Path, nargs="?", default=Path("runs/book"), help="folder of the site; replaced")
     parser.add_argument("--installed", action="store_true", help="only say whether the extra 'book' is installed")
-    parser.add_argument("--repository", default="", help="address of the repository, for links to Binder and Colab")
+    parser.add_argument("--repository", default="", help="address of the repository, for links to source files")
     options = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     if options.installed:

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from urllib.parse import quote
 
 from quiz import INTRODUCTION, PROMPT, Question
 
@@ -21,8 +20,6 @@ from gsfusion_nb.files import read_object
 
 from .chapters import Chapter
 from .pages import Places, in_the_book, raw
-
-_GITHUB = re.compile(r"https://github\.com/([\w.-]+/[\w.-]+)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,16 +43,6 @@ class Settings:
         """Address below which the repository shows its files, with a slash at its end; "" without a repository."""
         return f"{self.repository}/blob/{self.branch}/" if self.repository else ""
 
-    def launches(self, notebook: str) -> dict[str, str]:
-        """Name of a service that runs a notebook -> address. Only for a repository on GitHub, which both can read."""
-        match = _GITHUB.fullmatch(self.repository)
-        if match is None:
-            return {}
-        return {
-            "Binder": f"https://mybinder.org/v2/gh/{match[1]}/{self.branch}?labpath={quote(notebook, safe='')}",
-            "Colab": f"https://colab.research.google.com/github/{match[1]}/blob/{self.branch}/{quote(notebook)}",
-        }
-
 
 def read_settings(path: Path, repository: str = "") -> Settings:
     """Settings from a file; ``repository`` takes the place of the file's address, if given."""
@@ -63,29 +50,16 @@ def read_settings(path: Path, repository: str = "") -> Settings:
     return Settings(**given | ({"repository": repository} if repository else {}))
 
 
-def opening_bar(notebook: str, settings: Settings) -> str:
-    """HTML under a chapter's title.
-
-    Args:
-        notebook: Path of the notebook in the project.
-        settings: With a repository, there are links to services.
-    """
-    name = notebook.rpartition("/")[2]
-    links = [f'<a href="{escape(url)}">Open in {service}</a>' for service, url in settings.launches(notebook).items()]
-    colab = _COLAB.format(repository=escape(settings.repository)) if links else ""
+def opening_bar(notebook: str) -> str:
+    """HTML under a chapter's title; ``notebook`` is its path in the project."""
+    name = escape(notebook.rpartition("/")[2])
     return (
-        f'<div class="gsnb-open"><a href="{escape(name)}" download>Download this notebook</a> '
-        f"{' '.join(links)}<details><summary>Run it in JupyterLab</summary>"
-        f"<p>In the project's folder: <code>make lab</code>, then open <code>course/{escape(name)}</code>: a copy with "
+        f'<div class="gsnb-open"><a href="{name}" download>Download this notebook</a> '
+        f"<details><summary>Run it in JupyterLab</summary>"
+        f"<p>In the project's folder: <code>make lab</code>, then open <code>course/{name}</code>: a copy with "
         f"empty exercises, which is yours to change. With pip: "
-        f'<a href="../docs/install.html">installing</a>.</p>{colab}</details></div>'
+        f'<a href="../docs/install.html">installing</a>.</p></details></div>'
     )
-
-
-_COLAB = (
-    "<p>In Colab, first run a new cell with <code>%pip install git+{repository}</code>, and restart the runtime when "
-    "it asks. Binder installs the package itself, which takes some minutes at the first start.</p>"
-)
 
 
 def quiz_page(chapter: int, questions: Sequence[Question]) -> str:
@@ -163,18 +137,15 @@ class Assembly:
 
     Args:
         places: The project.
-        settings: Of the book.
         pages: Folder for the pages; emptied first.
         extra: Folder for other files of the site; emptied first.
         quiz: Questions by chapter.
     """
 
-    def __init__(
-        self, places: Places, settings: Settings, pages: Path, extra: Path, quiz: Mapping[int, Sequence[Question]]
-    ):
+    def __init__(self, places: Places, pages: Path, extra: Path, quiz: Mapping[int, Sequence[Question]]):
         self.quiz = {f"{QUIZ}/chapter_{n:02}.md": quiz_page(n, own) for n, own in quiz.items()}
         self.places = dataclasses.replace(places, files=places.files | frozenset(self.quiz))
-        self.settings, self.pages, self.extra = settings, pages, extra
+        self.pages, self.extra = pages, extra
 
     def write(self) -> None:
         """Write all of them."""
@@ -197,7 +168,7 @@ class Assembly:
 
     def _chapter(self, path: str) -> None:
         notebook = self.places.root / path
-        bar = opening_bar(path, self.settings)
+        bar = opening_bar(path)
         chapter = Chapter(read_object(notebook, "a notebook"), path, self.places, bar=bar)
         self._put(self.pages / f"{path.removesuffix('.ipynb')}.md", chapter.markdown())
         for address, content in chapter.files.items():

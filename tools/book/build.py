@@ -42,7 +42,7 @@ def build(root: Path, out: Path, settings: Settings, quiz: Mapping[int, Sequence
         raise RuntimeError(f"the book needs {', '.join(lacking)}; install them with: pip install 'gsfusion-nb[book]'")
     work = out.parent / f".{out.name}_work"
     pages, extra, static = work / "pages", work / "extra", work / "static"
-    Assembly(places_of(root, settings.files), settings, pages, extra, quiz).write()
+    Assembly(places_of(root, settings.files), pages, extra, quiz).write()
     _write_static(static)
     _sphinx(root, pages, extra, static, work / "doctrees", out, settings)
     shutil.make_archive(str(work / "book"), "zip", out)

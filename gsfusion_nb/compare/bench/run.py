@@ -1,6 +1,8 @@
 """``gsfusion-nb bench``: time and memory of the operations on this machine; results are kept if it is interrupted."""
 
 import dataclasses
+import functools
+import importlib
 import json
 import os
 import time
@@ -11,16 +13,21 @@ from typing import Annotated, Any
 
 import torch
 import tyro
+from torch import Tensor
 
 from ... import backends, seeding  # noqa: F401  (importing the rooms declares their operations)
 from ...backends import use_backend
 from ...checks import check_name, check_whole
 from ...config import DataConfig, TsdfConfig, gsfusion
 from ...data import OpenedSequence, open_sequence
+from ...evaluation.image import psnr
 from ...files import write_file
+from ...geometry import se3
 from ...mapping import GSFusion
 from ...render import render_forward, render_vjp
+from ...render.constants import NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ...tsdf import TsdfVolume, integrate, raycast
+from ...types import GaussianParams
 from ...work import PeakMemory, ProgressDisplay
 from .scene import RandomScene, random_scene
 from .timing import Timing, describe, header, lap, measure, summary, threads
@@ -146,10 +153,13 @@ SIZES = ((320, 240), (640, 480))
 SH_DEGREES = (0, 3)
 ON_A_GPU = (200_000, 1200, 680, 3, "cuda")
 """Gaussians, width, height, degree and device of the case that only runs on a GPU."""
+GSPLAT = "gsplat (CUDA)"
+"""Its rasteriser is timed beside ours in that case, where it is installed."""
 
 
 def raster_rows(options: BenchOptions) -> Iterator[BenchRow]:
-    """Random scenes, forward, and forward with the gradient of every parameter; on a GPU one large scene more."""
+    """Random scenes, forward, and forward with the gradient of every parameter; on a GPU one large scene more, beside
+    gsplat; the note is the PSNR of its picture against ours."""
     counts, sizes, degrees = (COUNTS[:2], SIZES[:1], (3,)) if options.quick else (COUNTS, SIZES, SH_DEGREES)
     cases = [(n, *size, degree, "cpu") for degree in degrees for size in sizes for n in counts]
     cases += [ON_A_GPU] if torch.cuda.is_available() else []
@@ -157,20 +167,47 @@ def raster_rows(options: BenchOptions) -> Iterator[BenchRow]:
         scene = random_scene(n, width, height, sh_degree=degree)
         for backward in (False, True):
             title = f"{n / 1000:g}k {width}x{height} SH{degree} {'fwd+bwd' if backward else 'fwd'}"
-            for backend in our_backends(options, "render_forward", "render_vjp"):
-                on = DEVICES[backend]
-                if device == "cuda" and on == "cpu":
-                    continue
+            ours = our_backends(options, "render_forward", "render_vjp")
+            methods = [b for b in ours if device == "cpu" or DEVICES[b] == "cuda"]
+            methods += [GSPLAT] if device == "cuda" and has_gsplat() else []
+            for method in methods:
+                on = DEVICES.get(method, "cuda")
                 here = scene.to(on)
-                timing = measure(lambda b=backend, s=here, v=backward: _draw(b, s, v), options.budget_s, on)
-                yield BenchRow(section="raster", case=title, method=backend, timing=timing)
+                draw = by_gsplat if method == GSPLAT else functools.partial(_draw, method)
+                timing = measure(lambda d=draw, s=here, v=backward: d(s, v), options.budget_s, on)
+                note = f"{psnr(draw(here, False), _draw(methods[0], here, False)):.0f} dB" if method == GSPLAT else ""
+                yield BenchRow(section="raster", case=title, method=method, timing=timing, note=note)
 
 
-def _draw(backend: str, scene: RandomScene, backward: bool) -> None:
+def _draw(backend: str, scene: RandomScene, backward: bool) -> Tensor:
     with use_backend(backend):
-        _, saved = render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
+        output, saved = render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
         if backward:
             render_vjp(saved, scene.v_rgb)
+        return output.rgb
+
+
+def has_gsplat() -> bool:
+    """Whether gsplat is installed with its CUDA kernels, which it compiles with nvcc on first use."""
+    try:
+        return importlib.import_module("gsplat.cuda._backend")._C is not None
+    except (ImportError, RuntimeError, OSError):
+        return False
+
+
+def by_gsplat(scene: RandomScene, backward: bool) -> Tensor:
+    """The picture that gsplat draws and, with ``backward``, dL/d of every parameter by its autograd."""
+    from gsplat import rasterization  # pyright: ignore[reportMissingImports]
+
+    p = GaussianParams(**{name: x.detach().requires_grad_(backward) for name, x in vars(scene.params).items()})
+    pictures, _, _ = rasterization(
+        means=p.xyz_W, quats=p.quat, scales=p.log_scale.exp(), opacities=p.opacity_logit.sigmoid(), colors=p.sh,
+        viewmats=se3.inverse(scene.T_WC)[None], Ks=scene.camera.K.to(p.xyz_W)[None], width=scene.camera.width,
+        height=scene.camera.height, near_plane=NEAR_PLANE_M, eps2d=SCREEN_BLUR_PX2, sh_degree=p.sh_degree, packed=False,
+    )  # fmt: skip
+    if backward:
+        torch.autograd.grad(pictures[0], list(vars(p).values()), scene.v_rgb)
+    return pictures[0].detach()
 
 
 VOXEL_SIZES_M = (0.02, 0.01)

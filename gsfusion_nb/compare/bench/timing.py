@@ -21,7 +21,7 @@ LEAST_RUNS = 3
 MOST_RUNS = 30
 LONG_RUN_S = 4.0
 """A run longer than this is timed only once, seconds."""
-PACKAGES = ("torch", "numpy", "numba", "llvmlite", "triton", "opencv-python-headless")
+PACKAGES = ("torch", "numpy", "numba", "llvmlite", "triton", "gsplat", "opencv-python-headless")
 
 
 @dataclass(frozen=True, kw_only=True)

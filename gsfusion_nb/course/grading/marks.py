@@ -3,56 +3,21 @@
 import csv
 import io
 import os
-import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...files import SequenceError, plain_cell, read_bytes, write_file
+from ...files import plain_cell, write_file
 from ...work import usable_cores
 from ..attempt import Verdict
-from ..exercise import DIFFICULTIES, Exercise, exercises
+from ..exercise import exercises
 from .sandbox import Limits, verdicts
 from .submission import Submission, choose, defines, read_code
 
 COLUMNS = ("student", "exercise", "points", "max", "failed property", "message")
 BY_DIFFICULTY = {1: 1.0, 2: 2.0, 3: 3.0, 4: 5.0, 5: 8.0}
-
-
-class Points:
-    """The most points of each exercise.
-
-    Args:
-        by_difficulty: Difficulty, 1 to 5, -> points.
-        by_name: Name of an exercise -> points, which come before those of its difficulty.
-    """
-
-    def __init__(self, by_difficulty: Mapping[int, float] = BY_DIFFICULTY, by_name: Mapping[str, float] | None = None):
-        self.by_difficulty, self.by_name = {**BY_DIFFICULTY, **by_difficulty}, dict(by_name or {})
-
-    def of(self, exercise: Exercise) -> float:
-        """The most points of ``exercise``."""
-        return self.by_name.get(exercise.name, self.by_difficulty[exercise.difficulty])
-
-
-def read_points(path: Path) -> Points:
-    """Points from a TOML file: ``[difficulty]`` with ``1 = 2.0``, ``[exercise]`` with ``psnr = 4``; both are optional.
-
-    Raises:
-        ValueError: it is not such a file; the message says which entry.
-    """
-    try:
-        table = tomllib.loads(read_bytes(path, "a table of points").decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, SequenceError) as e:
-        raise ValueError(f"{path}: {e}") from None
-    known = {"difficulty": {str(d) for d in DIFFICULTIES}, "exercise": set(exercises())}
-    for section, entries in table.items():
-        for name, value in dict(entries).items():
-            if name not in known.get(section, ()) or not isinstance(value, (int, float)) or value < 0:
-                raise ValueError(f"{path}: there is no {section} {name!r} with {value!r} points")
-    by_difficulty = {int(d): float(v) for d, v in table.get("difficulty", {}).items()}
-    return Points(by_difficulty, {name: float(v) for name, v in table.get("exercise", {}).items()})
+"""The most points of an exercise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +58,6 @@ def grade(
     submissions: Sequence[Submission],
     names: Sequence[str],
     *,
-    points: Points,
     limits: Limits,
     jobs: int = 0,
     tell: Callable[[str], None] = lambda line: None,
@@ -103,14 +67,13 @@ def grade(
     Args:
         submissions: Of each student.
         names: Exercises, in the order of the course.
-        points: The most points of each exercise.
         limits: Of each function.
         jobs: Students at the same time; 0: one for each core, at most 8.
         tell: Gets a line for each student.
     """
 
     def of(submission: Submission) -> list[Mark]:
-        marks = _marks(submission, names, points, limits)
+        marks = _marks(submission, names, limits)
         total, most = sum(m.points for m in marks), sum(m.most for m in marks)
         tell(f"{submission.student}: {total:g} of {most:g} points")
         return marks
@@ -119,7 +82,7 @@ def grade(
         return [mark for marks in pool.map(of, submissions) for mark in marks]
 
 
-def _marks(submission: Submission, names: Sequence[str], points: Points, limits: Limits) -> list[Mark]:
+def _marks(submission: Submission, names: Sequence[str], limits: Limits) -> list[Mark]:
     every = exercises()
     codes = [read_code(file) for file in submission.files]
     chosen = {name: choose(codes, name, every[name].chapter) for name in names}
@@ -127,7 +90,7 @@ def _marks(submission: Submission, names: Sequence[str], points: Points, limits:
     problem = next((code.problem for code in codes if code.problem), "")
     marks = []
     for name in names:
-        most = points.of(every[name])
+        most = BY_DIFFICULTY[every[name].difficulty]
         message = problem or f"there is no function {name} in {', '.join(code.file.name for code in codes)}"
         prop, message = why(found[name]) if name in found else ("it is submitted", message)
         right = name in found and bool(found[name])

@@ -30,8 +30,6 @@ class Birth:
     """Pixel that it was seeded from."""
     cell: tuple[int, int, int, int, int] | None = None
     """Quadtree leaf around that pixel: first column, first row, width, height, level. ``None`` without a quadtree."""
-    voxel_W: float | None = None
-    """Observation count of its voxel, with the frame fused, if the rule asked for it."""
     parent: int | None = None
     """Identity of the Gaussian that it is a copy or a half of."""
     tag: int = 0
@@ -46,7 +44,6 @@ class Birth:
         if self.cell:
             x, y, w, h, level = self.cell
             words.append(f"quadtree cell {w} x {h} px at ({x}, {y}), level {level}")
-        words += [f"its voxel has W = {self.voxel_W:g}"] if self.voxel_W is not None else []
         return ", ".join(words)
 
 
@@ -75,7 +72,6 @@ class _Group:
     parent: Int[Tensor, " n"] | None = None
     uv: Float[Tensor, "n 2"] | None = None
     cell: Int[Tensor, "n 5"] | None = None
-    voxel_W: Float[Tensor, " n"] | None = None
 
     def birth(self, i: int) -> Birth:
         k, cell, uv = i - self.first, None, None
@@ -84,11 +80,9 @@ class _Group:
             cell = (x0, y0, width, height, level)
         if self.uv is not None:
             uv = (float(self.uv[k, 0]), float(self.uv[k, 1]))
-        W = float("nan") if self.voxel_W is None else float(self.voxel_W[k])
         return Birth(
             id=i, cause=self.cause, frame_index=self.frame_index, step=self.step, rule=self.rule,
             tag=int(self.tag[k]), parent=None if self.parent is None else int(self.parent[k]), uv=uv, cell=cell,
-            voxel_W=None if W != W else W,
         )  # fmt: skip
 
 
@@ -193,8 +187,7 @@ class Identities:
 
 
 def origin_of(record: SeedingRecord, seeds: Seeds) -> dict[str, Any]:
-    """Where each of n seeds comes from: the pixel [n, 2], the quadtree leaf around it [n, 5] (width 0: none), and W of
-    its voxel [n] (NaN: not asked).
+    """Where each of n seeds comes from: the pixel [n, 2], and the quadtree leaf around it [n, 5] (width 0: none).
 
     A seed belongs to the pixel to which its centre projects.
     """
@@ -203,8 +196,6 @@ def origin_of(record: SeedingRecord, seeds: Seeds) -> dict[str, Any]:
     origin: dict[str, Any] = {"uv": uv}
     if record.cells is not None:
         origin["cell"] = _cells_around(record.cells, camera, uv)
-    if record.asked_xyz_W is not None and record.asked_W is not None and len(record.asked_xyz_W):
-        origin["voxel_W"] = _asked(record.asked_xyz_W.cpu(), record.asked_W.cpu(), xyz_W)
     return origin
 
 
@@ -218,11 +209,3 @@ def _cells_around(cells: Any, camera: Camera, uv: Float[Tensor, "n 2"]) -> Int[T
     inside = (i >= 0) & (i < camera.width) & (j >= 0) & (j < camera.height)
     at = torch.where(inside, owner[j.clamp(0, camera.height - 1), i.clamp(0, camera.width - 1)], -1)
     return torch.where((at >= 0)[:, None], table[at.clamp(min=0)], 0)
-
-
-def _asked(asked_xyz: Tensor, asked_W: Tensor, xyz: Tensor) -> Float[Tensor, " n"]:
-    """W of the points that are among those asked for, NaN for others."""
-    keys, inverse = torch.unique(torch.cat([asked_xyz, xyz]), dim=0, return_inverse=True)
-    known = torch.full((len(keys),), torch.nan)
-    known[inverse[: len(asked_xyz)]] = asked_W.float()
-    return known[inverse[len(asked_xyz) :]]

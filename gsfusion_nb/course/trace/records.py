@@ -99,10 +99,6 @@ class SeedingRecord(Record):
     rule: str
     cells: Cells | None
     """The quadtree, if the rule asked for it."""
-    asked_xyz_W: Float[Tensor, "M 3"] | None
-    """Points whose voxels the rule looked up last."""
-    asked_W: Float[Tensor, " M"] | None
-    asked_D: Float[Tensor, " M"] | None
     seeds: Seeds
 
 

@@ -46,8 +46,6 @@ class Recorder:
         self._last: dict[str, AdamColumn] = {}
         self._handlers = {
             "quadtree": self._quadtree,
-            "sample_voxels": self._sample,
-            "sample_fused_voxels": self._sample,
             "apply_rule": self._apply_rule,
             "GaussianModel.append": self._append,
             "apply_edit": self._apply_edit,
@@ -80,15 +78,9 @@ class Recorder:
             self._asking["cells"] = cells
         return cells
 
-    def _sample(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        sample = f(*args, **kwargs)
-        if self._asking is not None and args:
-            self._asking |= {"asked_xyz_W": args[-1], "asked_W": sample.W, "asked_D": sample.D}
-        return sample
-
     def _apply_rule(self, f: Call, args: tuple, kwargs: dict) -> Any:
         rule, ctx = args[:2]
-        self._asking = {"cells": None, "asked_xyz_W": None, "asked_W": None, "asked_D": None}
+        self._asking = {"cells": None}
         try:
             seeds = f(*args, **kwargs)
         finally:

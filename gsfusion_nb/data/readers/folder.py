@@ -97,6 +97,8 @@ def read_intrinsics(path: Path) -> dict[str, Any]:
         )
     numbers(values, _REQUIRED, path)
     numbers(values, tuple(k for k in ("fps",) if k in values), path)
+    if values.get("fps", 30.0) < 1e-3:
+        raise SequenceError(f"{path}: fps must be at least 0.001, got {shown(values['fps'])}")
     if number(values, "pixel_centre", 0.0, path) not in (0.0, 0.5):
         raise SequenceError(f"{path}: pixel_centre must be 0.0 or 0.5, got {shown(values['pixel_centre'])}")
     invalid = values.get("depth_invalid", 0)

@@ -17,9 +17,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...files import read_object
+from ...files import parsing, read_object
 from ...types import Camera
-from ..recorded.files import camera, require, table
+from ..recorded.files import camera, require
 from ..recorded.poses import GL_TO_CV
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..sequence import SequenceError, SequenceNotFoundError
@@ -114,18 +114,11 @@ def _names(path: Path, split: str) -> tuple[list[str], int]:
 
 def frame_matrices(values: dict[str, Any], path: Path) -> dict[str, Float[Tensor, "4 4"]]:
     """OpenGL camera-to-world matrix of every image, by file name."""
-    if not isinstance(values.get("frames"), list):
-        raise SequenceError(f"{path} lacks frames; expected a list of objects with file_path and transform_matrix")
     found = {}
-    for entry in [*values["frames"], *values.get("test_frames", [])]:
-        try:
-            name, rows = Path(entry["file_path"]).name, entry["transform_matrix"]
-        except (KeyError, TypeError) as e:
-            raise SequenceError(f"{path}: a frame lacks {e}; expected file_path and transform_matrix") from None
-        matrix = table(rows, f"{path}: transform_matrix of {name}", "4x4 numbers")
-        if matrix.shape != (4, 4):
-            raise SequenceError(f"{path}: transform_matrix of {name} must be 4x4 numbers")
-        found[name] = matrix
+    with parsing(path, "frames, each with file_path and a transform_matrix of 4x4 numbers"):
+        for entry in [*values["frames"], *values.get("test_frames", [])]:
+            matrix = torch.tensor(entry["transform_matrix"], dtype=torch.float64)
+            found[Path(entry["file_path"]).name] = matrix.reshape(4, 4)
     return found
 
 

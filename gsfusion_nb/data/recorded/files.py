@@ -6,10 +6,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import torch
-from jaxtyping import Float
-from torch import Tensor
-
 from ...checks import shown
 from ...types import Camera
 from ..sequence import SequenceError, SequenceNotFoundError
@@ -93,18 +89,6 @@ def numbers(values: dict[str, Any], keys: tuple[str, ...], path: Path) -> dict[s
         if value <= 0 and k not in ("cx", "cy"):
             raise SequenceError(f"{path}: {k} must be > 0, got {shown(value)}")
     return {k: float(values[k]) for k in keys}
-
-
-def table(value: Any, source: str, what: str) -> Float[Tensor, "..."]:
-    """Nested lists of numbers as a tensor, float64.
-
-    Raises:
-        SequenceError: text, ragged rows or numbers that are too large; names ``source``.
-    """
-    try:
-        return torch.tensor(value, dtype=torch.float64)
-    except (ValueError, TypeError, RuntimeError, OverflowError):
-        raise SequenceError(f"{source} must be {what}") from None
 
 
 def number(values: dict[str, Any], key: str, default: float | int, source: str | Path) -> float:

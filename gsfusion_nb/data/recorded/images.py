@@ -2,7 +2,11 @@
 
 OpenCV is imported on first use."""
 
+import functools
 import io
+import logging
+import re
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +14,12 @@ import numpy as np
 from ...files import IMAGE_BYTES, parsing, read_bytes
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
 
+log = logging.getLogger(__name__)
+
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
+_EXR_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
+"""Left, top, right and bottom pixel of a part of an OpenEXR file, all inside ("OpenEXR File Layout")."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -25,7 +33,20 @@ def read_rgb(path: Path) -> np.ndarray:
     Raises:
         BadFrameError: the file is missing, truncated or not an image.
     """
-    return decode_rgb(read_image_bytes(path, "colour"), path)
+    data = read_image_bytes(path, "colour")
+    if is_to_be_turned(data):
+        _tell_of_turned(path.parent)
+    return decode_rgb(data, path)
+
+
+@functools.cache
+def _tell_of_turned(folder: Path) -> None:
+    """Say once for a folder what is done with images that viewers show turned."""
+    log.warning(
+        "%s: images say (EXIF orientation) that they are to be shown turned; they are used as stored, as depth images "
+        "and intrinsics are. If those belong to the turned images, turn the files first",
+        folder,
+    )
 
 
 def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:
@@ -87,12 +108,7 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
 
     if _is_cut(data):
         raise BadFrameError(f"{source} is truncated; expected a whole {kind} image, but its end mark is missing")
-    size = image_size(data)
-    if size is None or size[0] * size[1] > MAX_PIXELS:
-        raise BadFrameError(
-            f"{source} cannot be decoded: it is truncated, damaged or not an image, or claims far too many pixels; "
-            f"expected a {kind} image of at most 40 million, as PNG, JPEG, TIFF, PNM or BMP"
-        )
+    check_image_size(data, source, kind)
     try:
         with parsing(source, f"a {kind} image", BadFrameError):
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -103,6 +119,19 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
             f"{source} cannot be decoded: it is truncated, damaged or not an image; expected a {kind} image"
         )
     return image
+
+
+def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
+    """Raise ``BadFrameError`` before an image is decoded that is of no known kind or claims too many pixels."""
+    size = image_size(data)
+    if size is None:
+        raise BadFrameError(
+            f"{source} cannot be decoded: it is truncated, damaged or not an image, or claims far too many pixels; "
+            f"expected a {kind} image, as PNG, JPEG, TIFF, PNM or BMP"
+        )
+    width, height = size
+    if width * height > MAX_PIXELS:
+        raise BadFrameError(f"{source} claims {width}x{height} pixels; expected a {kind} image of at most 40 million")
 
 
 def _is_cut(data: bytes) -> bool:
@@ -125,8 +154,23 @@ def is_complete_image(path: Path) -> bool:
     return len(data) >= 8 and not _is_cut(data)
 
 
+def is_to_be_turned(data: bytes) -> bool:
+    """Whether a JPEG says (EXIF, tag 274) that viewers are to show it turned or mirrored."""
+    from PIL import Image
+
+    try:
+        found = b"Exif\0\0" in data[: 1 << 16] and Image.open(io.BytesIO(data), formats=("JPEG",)).getexif().get(274, 1)
+        return found in range(2, 9)
+    except Exception:  # whatever follows from damaged tags
+        return False
+
+
 def image_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header of a PNG, JPEG, TIFF, PNM or BMP file claims; None for other data."""
+    """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP or OpenEXR file claims; None for other data."""
+    if data[:4] == b"v/1\x01":
+        windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(data[: 1 << 20])]
+        sizes = [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
+        return max(sizes, key=lambda size: size[0] * size[1], default=None)
     from PIL import Image
 
     try:

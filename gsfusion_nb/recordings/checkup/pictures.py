@@ -10,7 +10,7 @@ from ...data.adjust.depth_agreement import relative_poses, thinned
 from ...data.adjust.poses import reread_poses
 from ...data.lens import warp_depth
 from ...data.sequence import BadFrameError, Sequence
-from ...drawing.curves import curve_figure, figure_svg
+from ...drawing.curves import curve_figure
 from ...drawing.page import PageGraph
 from ...drawing.pictures import Picture, depth_error_map, fit_width, to_uint8
 from ...types import Frame
@@ -95,4 +95,4 @@ def path_from_above(sample: Sample, interpretation: RepairConfig) -> list[PageGr
     figure = curve_figure(x, {"path": y}, x_label="metres", y_label="metres")
     axes: Any = figure.axes[0]
     axes.set_aspect("equal", adjustable="datalim")
-    return [PageGraph("Path from above", figure_svg(figure, "path from above"))]
+    return [PageGraph("Path from above", figure)]

@@ -6,7 +6,6 @@ the poses, the check of the converted recording tells.
 """
 
 from collections import abc
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,16 +21,8 @@ NEAREST_TUM_M = 0.35
 """5000 units a metre come from cameras of the Kinect's kind, which measure nothing nearer."""
 
 
-@dataclass(frozen=True)
-class DepthUnit:
-    """The stored value of one metre, and why."""
-
-    scale: float
-    sentence: str
-
-
-def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> DepthUnit:
-    """Infer the stored value of one metre.
+def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> tuple[float, str]:
+    """Infer the stored value of one metre, and a sentence that says why.
 
     Args:
         folder: Of the recording; the benchmark's cameras are known by its name.
@@ -41,7 +32,7 @@ def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> DepthUnit
         SequenceError: several units are plausible, or none; the message asks for the option.
     """
     if benchmark_camera(folder):
-        return DepthUnit(DEPTH_SCALE, "depth was taken in the benchmark's 5000 units a metre")
+        return DEPTH_SCALE, "depth was taken in the benchmark's 5000 units a metre"
     values = np.concatenate([image[image > 0].ravel() for image in stored] or [np.zeros(0)])
     if not len(values):
         raise SequenceError(f"{folder}: the depth images tried hold no depth; give --depth-scale, units per metre")
@@ -55,7 +46,7 @@ def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> DepthUnit
             "--depth-scale, the stored value of one metre"
         )
     reason = "because that gives depths of a hand-held camera"
-    return DepthUnit(plausible[0], f"depth was taken as {plausible[0]:g} units a metre, {reason}")
+    return plausible[0], f"depth was taken as {plausible[0]:g} units a metre, {reason}"
 
 
 def plausible_range(scale: float, values: np.ndarray) -> bool:

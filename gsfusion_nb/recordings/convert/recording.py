@@ -1,6 +1,7 @@
 """What a reader of a foreign format takes and returns: options, frames, and images that are decoded on request."""
 
 import io
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from ...checks import check_number
+from ...config.values import Settings, within
 from ...data.lens import CameraModel
-from ...data.recorded.images import decode_image, decode_rgb, read_image_bytes
+from ...data.recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
 from ...data.sequence import BadFrameError, SequenceError
 from ...files import is_file, parsing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
@@ -33,7 +34,7 @@ class RosOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConvertOptions:
+class ConvertOptions(Settings):
     """How a recording is read and written."""
 
     poses: str = ""
@@ -42,20 +43,20 @@ class ConvertOptions:
     to be tracked."""
     pose_time_unit: Literal["auto", "s", "ms", "us", "ns"] = "auto"
     """Unit of the trajectory's times; "auto" takes the one in which the time steps are plausible."""
-    max_gap_s: float = 0.2
+    max_gap_s: float = within(0.2, 0)
     """Largest time between the two poses around a frame; a frame in a longer gap is dropped, seconds."""
-    time_offset_s: float = 0.0
+    time_offset_s: float = within(0.0, -math.inf)
     """Added to the time of each frame before its pose is interpolated, seconds."""
     T_cam_body: str = ""
     """File of 16 numbers: body to camera (Kalibr's T_cam_imu), if the trajectory is that of a body or IMU."""
     T_body_cam: str = ""
     """The inverse: camera to body (EuRoC's T_BS, OKVIS's T_SC)."""
-    scale: float = 0.0
+    scale: float = within(0.0, 0)
     """Metres per unit of the poses. 0: measured on the depth images for COLMAP, whose poses have no unit; 1 for all
     other formats."""
     depth: str = ""
     """Folder of the depth images if they are not part of the recording; same names as the colour images."""
-    depth_scale: float = 0.0
+    depth_scale: float = within(0.0, 0)
     """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; TUM-style folders:
     inferred from names, depths and poses, or asked for."""
     intrinsics: str = ""
@@ -63,22 +64,18 @@ class ConvertOptions:
     numbers, a matrix, or JSON."""
     pixel_centre: float = 0.0
     """Coordinate of the first pixel's centre in these intrinsics: 0 as in OpenCV and ROS, 0.5 as in COLMAP."""
-    width: int = 0
+    width: int = within(0, 0)
     """Width of the images to write, pixels. 0: that of the colour images, or in proportion to the height."""
-    height: int = 0
+    height: int = within(0, 0)
     """Height of the images to write, pixels. 0: that of the colour images, or in proportion to the width."""
-    every: int = 1
+    every: int = within(1, 1)
     """Convert every n-th frame."""
-    confidence: int = 1
+    confidence: int = within(1, 0, 2)
     """Record3D: smallest confidence at which a depth pixel is kept, 0 (all), 1 (medium) or 2 (high)."""
     ros: RosOptions = RosOptions()
 
     def __post_init__(self):
-        for name in ("max_gap_s", "scale", "depth_scale", "width", "height"):
-            check_number(name, getattr(self, name), low=0)
-        check_number("time_offset_s", self.time_offset_s)
-        check_number("every", self.every, low=1)
-        check_number("confidence", self.confidence, low=0, high=2)
+        super().__post_init__()
         if self.pixel_centre not in (0.0, 0.5):
             raise SequenceError(f"pixel_centre must be 0.0 or 0.5, got {self.pixel_centre}")
         if self.T_cam_body and self.T_body_cam:
@@ -143,6 +140,7 @@ class Recording:
     n_frames: int
     depth_scale: float = 1000.0
     """Stored depth value of one metre, which the written images keep."""
+    depth_along_ray: bool = False
     has_poses: bool = True
     up_to_scale: bool = False
     """Whether the poses have no unit of length."""
@@ -160,33 +158,28 @@ class Recording:
             raise SequenceError(str(e)) from None
 
 
-DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".exr")
 
 
-def decode_depth(data: bytes, source: str, scale: float) -> np.ndarray:
-    """Depth in metres of a one-channel image of 16-bit or float numbers, 0 = missing, float32. [H, W]
+def read_depth_file(path: Path, scale: float) -> np.ndarray:
+    """Depth in metres of a PNG, TIFF, PGM, NumPy or OpenEXR file, 0 = missing, float32. [H, W]
 
     Args:
-        data: PNG, TIFF or PGM.
-        source: Its name, for messages.
+        path: One channel of 16-bit or float numbers.
         scale: Stored value of one metre.
     """
     import cv2
 
-    raw = decode_image(data, cv2.IMREAD_UNCHANGED, source, "depth")
-    if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32, np.float64):
-        channels = 1 if raw.ndim == 2 else raw.shape[2]
-        raise BadFrameError(
-            f"{source} must be a depth image of one channel, 16-bit or float, got {raw.dtype} with {channels}"
-        )
-    return metres(raw, scale)
-
-
-def read_depth_file(path: Path, scale: float) -> np.ndarray:
-    """Depth in metres of a PNG, TIFF, PGM or NumPy file, 0 = missing, float32. [H, W]"""
     if path.suffix.lower() == ".npy":
         return metres(_numpy_array(path), scale)
-    return decode_depth(read_image_bytes(path, "depth"), str(path), scale)
+    if path.suffix.lower() == ".exr":
+        return metres(_exr_channel(path), scale)
+    raw = decode_image(read_image_bytes(path, "depth"), cv2.IMREAD_UNCHANGED, path, "depth")
+    if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32, np.float64):
+        raise BadFrameError(
+            f"{path} must be a depth image of one channel, 16-bit or float, got {raw.dtype} {list(raw.shape)}"
+        )
+    return metres(raw, scale)
 
 
 def metres(raw: np.ndarray, scale: float) -> np.ndarray:
@@ -223,3 +216,19 @@ def _numpy_array(path: Path) -> np.ndarray:
     if array.ndim != 2 or array.dtype.kind not in "fu":
         raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
     return array
+
+
+def _exr_channel(path: Path) -> np.ndarray:
+    try:
+        import OpenEXR  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise SequenceError(
+            f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install OpenEXR"
+        ) from None
+    check_image_size(read_image_bytes(path, "depth"), path, "depth")
+    with parsing(path, "depth as OpenEXR", BadFrameError), OpenEXR.File(str(path)) as file:
+        channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    array = next((channels[n] for n in ("Z", "Y", "R", "RGB", "RGBA") if n in channels), None)
+    if array is None:
+        raise BadFrameError(f"{path} has the channels {', '.join(channels)}; expected depth in Z, Y or R")
+    return array if array.ndim == 2 else array[..., 0]

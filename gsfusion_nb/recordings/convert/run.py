@@ -227,7 +227,7 @@ class _Conversion:
         model = self._model(frame, (width, height))
         if self._rectifier is None:
             camera = output_camera(model.fitted(width, height, frame.source), self._options.width, self._options.height)
-            self._rectifier = Rectifier(camera)
+            self._rectifier = Rectifier(camera, along_ray=self._recording.depth_along_ray)
         return self._rectifier(frame, model, images)
 
     def _model(self, frame: RecordedFrame, size: tuple[int, int]) -> CameraModel:
@@ -256,7 +256,7 @@ class ConvertCommand:
     are written one by one, and OUT appears when all is done."""
 
     words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")]
-    """FORMAT: colmap, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if omitted.
+    """FORMAT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if omitted.
     SOURCE: the file or folder of the recording. OUT: a new folder."""
     options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
 

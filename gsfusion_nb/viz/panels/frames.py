@@ -87,21 +87,17 @@ def moved_pose(
     T_WC: Float[Tensor, "4 4"],
     offset_C_m: tuple[float, float, float],
     turn_deg: float | int,
-    pitch_deg: float | int = 0.0,
 ) -> Float[Tensor, "4 4"]:
-    """The pose after a step along the camera's own axes, then a turn about its y and a pitch about its x axis.
+    """The pose after a step along the camera's own axes, then a turn about its y axis.
 
     Args:
         T_WC: Where it starts.
         offset_C_m: Right, down, forward, metres.
         turn_deg: To the right, degrees.
-        pitch_deg: Upwards, degrees.
     """
-    step = torch.zeros(6, dtype=torch.float64)
-    step[:3] = torch.tensor(offset_C_m, dtype=torch.float64)
-    turn, pitch = torch.zeros(6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
-    turn[4], pitch[3] = torch.deg2rad(torch.tensor([float(turn_deg), float(pitch_deg)], dtype=torch.float64))
-    return (T_WC.double() @ se3.exp(step) @ se3.exp(turn) @ se3.exp(pitch)).float()
+    step, turn = torch.zeros(6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    step[:3], turn[4] = torch.tensor(offset_C_m, dtype=torch.float64), math.radians(turn_deg)
+    return (T_WC.double() @ se3.exp(step) @ se3.exp(turn)).float()
 
 
 def point_panel(frame: Frame) -> Panel:

@@ -264,20 +264,20 @@ REACH_PX = 26.0
 """A drag that begins farther than this from all handles grabs none, pixels."""
 
 
-def draw_handles(picture: Picture, handles: Mapping[str, Point], ink: tuple[int, int, int] = (255, 140, 0)) -> Picture:
+def draw_handles(picture: Picture, handles: Mapping[str, Point]) -> Picture:
     """A copy of the picture with a ringed disc at each handle (u, v)."""
     import cv2
 
     image = picture.copy()
     for u, v in handles.values():
         at = (round(16 * min(max(u, -1e4), 1e4)), round(16 * min(max(v, -1e4), 1e4)))
-        for radius, colour in ((7, (20, 20, 24)), (6, (255, 255, 255)), (4, ink)):
+        for radius, colour in ((7, (20, 20, 24)), (6, (255, 255, 255)), (4, (255, 140, 0))):
             cv2.circle(image, at, radius * 16, colour, -1, cv2.LINE_AA, 4)
     return image
 
 
-def nearest_handle(handles: Mapping[str, Point], at: Point, reach_px: float = REACH_PX) -> str | None:
-    """Name of the handle nearest to a point, ``None`` if all are farther than ``reach_px``; the first of equal ones."""
+def nearest_handle(handles: Mapping[str, Point], at: Point) -> str | None:
+    """Name of the handle nearest to a point, ``None`` if all are farther than ``REACH_PX``; the first of equal ones."""
     apart = {name: ((u - at[0]) ** 2 + (v - at[1]) ** 2) ** 0.5 for name, (u, v) in handles.items()}
     name = min(apart, key=lambda k: apart[k], default=None)
-    return name if name is not None and apart[name] <= reach_px else None
+    return name if name is not None and apart[name] <= REACH_PX else None

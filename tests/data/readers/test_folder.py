@@ -1,5 +1,7 @@
 """The plain layout, and every way in which it can be wrong."""
 
+import struct
+
 import cv2
 import numpy as np
 import pytest
@@ -82,7 +84,7 @@ def expect(error, pattern, act):
 @pytest.mark.parametrize(
     ("key", "value"),
     [("fz", 1.0), ("fx", None), ("fx", "525"), ("fx", 0), ("depth_scale", -1000), ("pixel_centre", 0.25),
-     ("depth_invalid", 70000), ("fps", 0), ("pose_convention", "world-to-camera")],
+     ("depth_invalid", 70000), ("fps", 0), ("fps", 1e-320), ("pose_convention", "world-to-camera")],
 )  # fmt: skip
 def test_bad_intrinsics(tmp_path, box, key, value):
     root = box.folder(tmp_path, **{key: value})
@@ -161,3 +163,15 @@ def test_neighbouring_frames_of_real_sequences_agree(shared_sequence, name, widt
         agreement = depth_agreement(seq[i], seq[i + 1])
         assert agreement.median_m < bound_m
         assert agreement.agreeing > 0.85
+
+
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_turned_pictures_are_used_as_stored_and_that_is_said(tmp_path, box, caplog, orientation):
+    root = box.folder(tmp_path / "scan")
+    tiff = b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 274, 3, 1, orientation, 0, 0)
+    body = b"Exif\0\0" + tiff
+    for path in (root / "rgb").iterdir():
+        data = path.read_bytes()
+        path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + data[2:])
+    assert [tuple(frame.colour.shape) for frame in folder(root)] == [(48, 64, 3)] * 4
+    assert len([record for record in caplog.records if "EXIF" in record.getMessage()]) == (orientation != 1)

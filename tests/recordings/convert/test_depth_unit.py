@@ -25,15 +25,15 @@ def folder(tmp_path):
 
 
 def test_the_range_decides_where_only_one_unit_gives_plausible_depths(folder):
-    assert find_depth_unit(folder("scan"), depths(0.6, 2.0, 1000)).scale == 1000
-    assert find_depth_unit(folder("other"), depths(1.0, 4.0, 5000)).scale == 5000
+    assert find_depth_unit(folder("scan"), depths(0.6, 2.0, 1000))[0] == 1000
+    assert find_depth_unit(folder("other"), depths(1.0, 4.0, 5000))[0] == 5000
 
 
 def test_what_nothing_decides_is_asked_for(folder):
     unclear = depths(2.0, 4.5, 1000)  # or 0.4 to 0.9 m with 5000
     with pytest.raises(SequenceError, match="give --depth-scale"):
         find_depth_unit(folder("scan"), unclear)
-    assert find_depth_unit(folder("rgbd_dataset_freiburg1_x"), unclear).scale == 5000
+    assert find_depth_unit(folder("rgbd_dataset_freiburg1_x"), unclear)[0] == 5000
 
 
 def test_no_plausible_unit_is_asked_for(folder):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ..recording import ConvertOptions, Recording
-from . import colmap, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
+from . import colmap, icl_nuim, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,9 @@ class Format:
 FORMATS: dict[str, Format] = {
     "ros": Format(ros_bag.read, ros_bag.recognise, "a .bag or .mcap file, or a folder with metadata.yaml"),
     "scannet": Format(scannet.read, scannet.recognise, "a .sens file, or a folder with color/, depth/ and pose/"),
-    "record3d": Format(record3d.read, record3d.recognise, "a .r3d file, or its unpacked folder"),
+    "record3d": Format(record3d.read, record3d.recognise, "a .r3d file, or its unpacked folder, or the EXR export"),
     "nerfstudio": Format(nerfstudio.read, nerfstudio.recognise, "transforms.json"),
+    "icl_nuim": Format(icl_nuim.read, icl_nuim.recognise, "a trajectory *.gt.freiburg, or *.depth files"),
     "colmap": Format(colmap.read, colmap.recognise, "cameras and images, .bin or .txt, also in sparse/0"),
     "open3d": Format(open3d_log.read, open3d_log.recognise, "trajectory.log or .json, color/ and depth/"),
     "tum": Format(tum.read, tum.recognise, "rgb.txt and depth.txt, associations.txt, or rgb/ and depth/"),

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ....checks import shown
 from ....data.lens import CameraModel
-from ....data.recorded.files import natural_order, number, table
+from ....data.recorded.files import natural_order, number
 from ....data.recorded.images import read_rgb
 from ....data.recorded.poses import GL_TO_CV
 from ....data.sequence import SequenceError
@@ -102,7 +102,8 @@ def _pose(frame: dict[str, Any], world: Float[Tensor, "4 4"], file: Path) -> Flo
 
 
 def _matrix(rows: Any, source: str) -> Float[Tensor, "4 4"]:
-    matrix = table(rows, source, "4x4 or 3x4 numbers")
+    with parsing(source, "4x4 or 3x4 numbers"):
+        matrix = torch.tensor(rows, dtype=torch.float64)
     if matrix.ndim != 2 or tuple(matrix.shape) not in ((4, 4), (3, 4)):
         raise SequenceError(f"{source} must be 4x4 or 3x4 numbers, got {list(matrix.shape)}")
     return torch.cat([matrix[:3], torch.eye(4, dtype=matrix.dtype)[3:]])

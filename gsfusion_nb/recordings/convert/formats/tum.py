@@ -190,8 +190,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     scale = options.depth_scale
     if not scale:
         files = [depth for _, depth in found.pairs]
-        unit = find_depth_unit(path, some_depths(files))
-        scale, notes = unit.scale, [*notes, unit.sentence]
+        scale, sentence = find_depth_unit(path, some_depths(files))
+        notes.append(sentence)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for time_s, pose, (colour, depth) in zip(times, poses, found.pairs, strict=True):
