@@ -84,6 +84,7 @@ def test_links_to_files_lead_to_the_repository_if_there_is_one(places):
 
 def test_a_question_of_the_quiz_can_be_answered():
     asked = question(exercises()["psnr"], 1)
+    assert asked is not None
     page = quiz_page(0, [asked])
     assert f'data-right="{"ABCD"[asked.answer]}"' in page
     assert page.count("<label>") == 4

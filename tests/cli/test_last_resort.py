@@ -51,6 +51,6 @@ def test_a_folder_without_permission_is_named_in_full(tmp_path, capsys, monkeypa
 
 def test_data_scripts_too(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert fetch.run("", lambda name: [][3], arguments=["fr1_desk", "--yes"]) == 1
+    assert fetch.run("", lambda name: [][3], ["fr1_desk"], ["fr1_desk", "--yes"]) == 1
     assert "ended by an unexpected error, IndexError" in capsys.readouterr().err
     assert len(list(tmp_path.glob("*.log"))) == 1

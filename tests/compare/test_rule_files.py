@@ -99,9 +99,9 @@ def test_a_file_that_no_option_names_is_refused_in_the_lab(learned, entry):
 def test_the_values_of_a_global_network_are_part_of_the_fingerprint():
     prints = []
     for value in (0.0, 1.0):
-        net = torch.nn.Sequential(torch.nn.Conv2d(3, 1, 1))
-        torch.nn.init.constant_(net[0].bias, value)
-        torch.nn.init.zeros_(net[0].weight)
+        net = torch.nn.Conv2d(3, 1, 1)
+        for parameter in net.parameters():
+            torch.nn.init.constant_(parameter, value)
         prints += [rule_fingerprint(lambda ctx, net=net: net(ctx)), rule_fingerprint(functools.partial(pow, value))]
     assert len(set(prints)) == 4
 

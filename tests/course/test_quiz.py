@@ -23,6 +23,7 @@ def test_most_wrong_answers_are_questions():
 def test_the_right_option_is_what_the_checker_says(name):
     exercise = exercises()[name]
     q = quiz.question(exercise, 1)
+    assert q is not None
     verdict = getattr(check, name)(exercise.wrong[0].function)
     assert q.options[q.answer] == verdict.prop
     assert verdict.on in q.said
@@ -32,6 +33,7 @@ def test_the_right_option_is_what_the_checker_says(name):
 
 def test_a_question_for_a_learning_platform_has_one_right_option():
     q = quiz.question(exercises()["psnr"], 1)
+    assert q is not None
     answers = ET.fromstring(quiz.moodle_xml(0, [q])).findall("question[@type='multichoice']/answer")
     assert [a.get("fraction") for a in answers].count("100") == 1
     assert answers[q.answer].findtext("text") == q.options[q.answer]

@@ -196,7 +196,10 @@ def test_parts_add_up_to_the_map(ask, scene, generator):
     layout = layout_for(scene, 0)
     moved = GaussianParams(**{**vars(scene), "xyz_W": scene.xyz_W + 0.3 * (torch.arange(300) < 40)[:, None]})
     first, last = pack_rows(scene[:200], columns[:200], layout), pack_rows(moved, columns, layout)
-    index, records = packet_between(first, last)
+    packet = packet_between(first, last)
+    assert packet is not None
+    index, records = packet
+    assert index is not None
     parts = [(None, first, 200), (index.tolist(), records, 300)]
     stepwise = ask(moved, {"kind": "draw"}, packets=parts)
     at_once = ask(moved, {"kind": "draw"})
