@@ -276,7 +276,7 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
         return _OPS[name]
     device = next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
     backend = automatic(name, device)
-    if backend == "reference":
+    if backend == "reference" and (device != "cpu" or set(_PREFERRED["cpu"]) & set(offered(name))):
         _log_once(logging.WARNING, name, _why_slow(name, device))
     else:
         _log_once(logging.INFO, name, f"{name}: {backend}")

@@ -9,7 +9,7 @@ import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 
@@ -103,7 +103,7 @@ class Panel:
         """Values of the controls."""
         return {name: control.value for name, control in self.controls.items()}
 
-    def set(self, **values: Any) -> Self:
+    def set(self, **values: Any) -> "Panel":
         """Move several controls with one redraw."""
         unknown = sorted(set(values) - set(self.controls))
         if unknown:

@@ -150,7 +150,8 @@ def test_the_mean_is_the_rendered_pixel_in_any_order(mapper, generator):
     microscope = MixMicroscope(mapper, MIDDLE, EYE)
     hidden = 0
     for u, v in ((40, 30), (3, 20), (79, 59), (0, 0)):
-        mix = microscope.set(u=u, v=v).stack
+        microscope.set(u=u, v=v)
+        mix = microscope.stack
         torch.testing.assert_close(mix.colour, mapper.output.rgb[v, u], rtol=1e-5, atol=1e-5)
         torch.testing.assert_close(mix.total, float(mapper.output.weight[v, u]), rtol=1e-5, atol=1e-5)
         other = mix.shuffled(generator)
