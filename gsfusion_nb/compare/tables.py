@@ -172,7 +172,7 @@ def _notes(groups: Sequence[Group]) -> list[str]:
         ("n_steps", "gradient steps", budget.steps == "own"),
     ):
         means = [s.mean for s in (g.summary(metric) for g in groups) if s.n]
-        if own and max(means) > min(means):
+        if own and means and max(means) > min(means):
             parts.append(f"{min(means):,.0f} to {max(means):,.0f} {noun}")
     if parts:
         notes.append(f"not equal between the rules: {' and '.join(parts)}; quality also depends on these")

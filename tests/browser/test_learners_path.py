@@ -79,9 +79,9 @@ def the_room_is_mapped_with_mine(lab, page):
     board = page.locator(".jp-OutputArea-output", has_text="operations that have an exercise run your code").last
     text = board.inner_text()
     wanted = {e.becomes.operation for e in exercises().values() if e.becomes is not None and e.chapter in CHAPTERS}
-    rows = {row.split()[1]: row for row in text.splitlines() if row.startswith("●")}
+    rows = {row.split()[0]: row for row in text.splitlines() if row.strip()}
     assert wanted <= set(rows), wanted - set(rows)
     for operation in wanted:
-        assert "yours" in rows[operation], rows[operation]
+        assert "YOURS" in rows[operation], rows[operation]
         assert "reference" not in rows[operation], rows[operation]
     lab.screenshot(board, "06_board_mine")

@@ -106,4 +106,4 @@ document.querySelectorAll(".gsnb-question").forEach(prepareQuestion);
 document.querySelectorAll("table.gsnb-lab-stored").forEach(addSorting);
 document.querySelectorAll(".gsnb-quiz").forEach(prepareQuiz);
 document.querySelectorAll("article .highlight").forEach(addCopyButton);
-for (const block of document.querySelectorAll("article pre")) if (block.scrollWidth > block.clientWidth) block.tabIndex = 0;
+for (const block of document.querySelectorAll("article pre, article .table-wrapper")) if (block.scrollWidth > block.clientWidth) block.tabIndex = 0;
