@@ -141,7 +141,7 @@ class Player:
                 self._thread.start()
             idle = not self._serving
         if idle and then == "stopped" and self.state in ("ready", "paused"):
-            self.state = "stopped"
+            self._rest("stopped")
         self.on_state()
 
     def _work(self, threads: int, previous: threading.Thread | None) -> None:
