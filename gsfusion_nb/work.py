@@ -57,7 +57,8 @@ class ProgressDisplay:
         pause_s = 0.1 if to.isatty() or _in_notebook() else EVERY_S
         self._bar = tqdm(
             desc=what, total=total, unit=unit or "it", unit_scale=unit == "B", initial=done, leave=leave, file=to,
-            disable=not shown or stored, mininterval=pause_s, maxinterval=EVERY_S, delay=0 if pause_s < EVERY_S else EVERY_S,
+            disable=not shown or stored, mininterval=pause_s, maxinterval=EVERY_S,
+            delay=0 if pause_s < EVERY_S else EVERY_S,
         )  # fmt: skip
 
     def show(self, done: int, *, total: int | None = None, what: str | None = None, note: str = "") -> None:

@@ -9,6 +9,7 @@ Meshes are binary little endian, with float32 positions, 8-bit colours and share
 """
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +126,11 @@ def _read(path: Path, what: str, **options: Any) -> Any:
     """The parsed file. It is memory-mapped, which is faster, where its rows have a fixed size."""
     from plyfile import PlyData, PlyParseError
 
-    open_regular(path, what).close()
+    with open_regular(path, what) as file:
+        head = file.read(1 << 16).partition(b"end_header")[0]
+    rows = sum(int(n) for n in re.findall(rb"(?m)^\s*element\s+\S+\s+(\d{1,18})", head))
+    if rows > path.stat().st_size:
+        raise SequenceError(f"{path} claims {rows:,} rows, more than it has bytes; expected {what}")
     with parsing(path, what):
         try:
             return PlyData.read(str(path), **options)

@@ -209,7 +209,18 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name) -
             with (folder / path).open("xb") as file:
                 shutil.copyfileobj(source, file)
             count += 1
-    except (zipfile.BadZipFile, tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError) as e:
+    except ArchiveError:
+        raise
+    except (
+        ValueError,
+        NotImplementedError,
+        RuntimeError,
+        zipfile.BadZipFile,
+        tarfile.TarError,
+        gzip.BadGzipFile,
+        zlib.error,
+        EOFError,
+    ) as e:
         raise ArchiveError(
             f"{archive.name} is damaged or not an archive ({e}); run again to download it again"
         ) from None
@@ -225,7 +236,11 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
             with zipfile.ZipFile(opened) as zipped:
                 for info in zipped.infolist():
                     if not info.is_dir() and stat.S_IFMT(info.external_attr >> 16) in (0, stat.S_IFREG):
-                        with zipped.open(info) as source:
+                        try:
+                            source = zipped.open(info)
+                        except OSError as e:  # it points outside of the file
+                            raise zipfile.BadZipFile(str(e)) from None
+                        with source:
                             yield info.filename, source
             return
         opened.seek(0)

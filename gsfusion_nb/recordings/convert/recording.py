@@ -1,6 +1,5 @@
 """What a reader of a foreign format takes and returns: options, frames, and images that are decoded on request."""
 
-import io
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -15,7 +14,7 @@ from ...config.values import Settings, within
 from ...data.lens import CameraModel
 from ...data.recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
 from ...data.sequence import BadFrameError, SequenceError
-from ...files import is_file, parsing
+from ...files import is_file, open_regular, parsing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
 
 
@@ -212,7 +211,8 @@ def find_depth(folder: Path, stem: str) -> Path:
 
 def _numpy_array(path: Path) -> np.ndarray:
     with parsing(path, "a NumPy array of depth", BadFrameError):
-        array = np.squeeze(np.load(io.BytesIO(read_image_bytes(path, "depth")), allow_pickle=False))
+        open_regular(path, "a NumPy array of depth").close()
+        array = np.squeeze(np.array(np.load(path, mmap_mode="r", allow_pickle=False)))  # not larger than its file
     if array.ndim != 2 or array.dtype.kind not in "fu":
         raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
     return array
