@@ -127,7 +127,7 @@ def point_panel(frame: Frame) -> Panel:
 
     def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, Number]:
         if stroke.start[0] < frame.camera.width:
-            return {**touched_pixel(stroke, frame.camera)}
+            return touched_pixel(stroke, frame.camera)
         du, dv = stroke.moved
         if stroke.shift:
             return {

@@ -249,7 +249,7 @@ def pixel_sliders(camera: Camera, pixel: tuple[int, int] | None = None) -> dict[
     }
 
 
-def touched_pixel(stroke: Stroke, camera: Camera, zoom: float = 1.0) -> dict[str, int]:
+def touched_pixel(stroke: Stroke, camera: Camera, zoom: float = 1.0) -> dict[str, Number]:
     """Values of ``pixel_sliders`` under the pointer, for a labelled image that is ``zoom`` times as large.
 
     Empty if the drag began outside it.
