@@ -1,15 +1,20 @@
-"""Gaussian-SLAM's rule: a dense start of each submap, then every fifth frame what the map does not cover."""
+"""Rules for what the map does not cover, with Gaussians as large as the distance to their neighbours."""
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from ...gaussians import Edit
+from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
-from ..rule import MapRule, When, every, seeding_rule
-from ..sampling import pushed_back, sized_by_neighbours, unmapped_pixels
+from ..rule import KEYFRAMES, MapRule, StepStats, When, every, seeding_rule
+from ..sampling import depth_error_m, in_front, pushed_back, sized_by_neighbours, thin, unmapped_pixels
 
 GRADIENT_POINTS = 50_000
 PUSH_BACK = 1.005
@@ -103,3 +108,194 @@ def _start_of_submap(ctx: SeedContext, points: int) -> Bool[Tensor, "H W"]:
     chosen[candidate[ctx.draw(len(candidate), points)]] = True
     chosen[ctx.draw_weighted(ctx.gradient().flatten() * known, GRADIENT_POINTS)] = True
     return chosen.view(ctx.camera.height, ctx.camera.width)
+
+
+@seeding_rule
+@dataclass(frozen=True, kw_only=True)
+class game(MapRule):
+    """GaME: in keyframes, Gaussians where the map is empty, behind or of another colour; stale ones are removed.
+
+    Half of the pixels with depth where
+
+        A < 0.3   or   ( D^ > D  and  |D^ - D| > 40 median |D^ - D| )   or   mean over R, G, B of |C^ - C| > 0.1
+
+    with the map's picture C^ over white. Round Gaussians of standard deviation sqrt(0.05) d, with the root mean square
+    distance d to the 3 nearest neighbours, new or in the map. After the last gradient step of a frame the Gaussians are
+    removed that lie in front of the measured depth by more than 5 cm at a pixel whose colour is wrong by more than 0.1
+    (the scene has changed there), and after half of the steps and the last one those with an opacity below 0.1.
+
+    Args:
+        min_alpha: Pixels with a smaller accumulated opacity A are seeded. Release: 0.3.
+        median_factor: How many medians a depth error must exceed. Release: 40.
+        colour_error: Mean absolute colour error (0..1) above which a pixel is seeded, and a Gaussian may be stale.
+            Release: 0.1.
+        stale_m: How far in front of the measured depth a stale Gaussian lies, metres. Release: 0.05.
+        min_opacity: Gaussians with a lower opacity are removed. Release: 0.1.
+        share: Share of the pixels that is drawn at random, 0..1; the sizes follow from the distances. The release takes
+            every second one: 0.5.
+
+    Left out: masks of objects from a segmentation network, by which the release also removes the rest of an object, and
+    ignores stale parts of keyframes. Every 5th recorded frame is a keyframe unless the settings say otherwise; the
+    release's numbers were read in a port of its code to the CPU.
+    Source: Yugay et al. 2026 (GaME, arXiv 2506.06909) and its released code.
+    """
+
+    min_alpha: float = 0.3
+    median_factor: float = 40.0
+    colour_error: float = 0.1
+    stale_m: float = 0.05
+    min_opacity: float = 0.1
+    share: float = 0.5
+
+    when: ClassVar[When] = KEYFRAMES
+    overrides: ClassVar[Mapping[str, Any]] = {"keyframe_every": 5}
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """The Gaussians of one keyframe."""
+        chosen = unmapped_pixels(ctx, self.min_alpha, self.median_factor)
+        if ctx.has_map:
+            view = ctx.render()
+            over_white = view.rgb + (1 - view.alpha)[..., None]
+            chosen |= (over_white - ctx.frame.rgb).abs().mean(dim=-1) > self.colour_error
+        uv = ctx.pixels(chosen)
+        uv = uv[ctx.draw(len(uv), round(self.share * len(uv)))]
+        return sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0), "new and map", factor=0.05**0.5)
+
+    def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:
+        """Remove transparent Gaussians and, after the last step, stale ones."""
+        step, last = stats.step_in_frame, stats.steps_in_frame
+        if stats.stage != "online" or step not in (last // 2 + 1, last):
+            return None
+        keep = ctx.map.opacity >= self.min_opacity
+        if step == last and len(ctx.map):
+            wrong = (ctx.render().rgb - ctx.frame.rgb).abs().mean(dim=-1) > self.colour_error
+            keep &= ~in_front(ctx, self.stale_m, wrong)
+        return None if keep.all() else Edit(keep=keep)
+
+
+@seeding_rule
+@dataclass(frozen=True, kw_only=True)
+class gs_slam(MapRule):
+    """GS-SLAM: in keyframes, Gaussians wherever the map does not cover the view, or its depth is wrong.
+
+    In the first frame half of the pixels with depth, drawn at random; in later keyframes those where A < tau_T or
+    |D^ - D| > tau_D. Round Gaussians, as large as the root mean square distance to their 3 nearest neighbours, new or
+    in the map.
+
+    Args:
+        first_share: Share of the pixels of the first frame. Publication: half.
+        min_alpha: tau_T: pixels with a smaller accumulated opacity A are seeded; 0.5 is chosen here.
+        depth_error: tau_D, metres: larger errors of the blended depth are seeded; 0.1 is chosen here.
+        share: Share of all these pixels that is drawn at random, 0..1; the sizes follow from the distances.
+            Publication: 1.
+        opacity: The publication presets one value; 0.5 is chosen here.
+
+    The three values chosen here cannot be compared with the authors': the paper leaves its numbers to a supplement, and
+    no code was released.
+
+    Left out because the optimiser does it: a Gaussian in front of the measured depth by more than gamma gets eta times
+    its opacity; splitting and cloning. Every 5th recorded frame is a keyframe unless the settings say otherwise.
+    Source: Yan et al. 2024 (GS-SLAM), the paper alone.
+    """
+
+    first_share: float = 0.5
+    min_alpha: float = 0.5
+    depth_error: float = 0.1
+    share: float = 1.0
+    opacity: float = 0.5
+
+    when: ClassVar[When] = KEYFRAMES
+    overrides: ClassVar[Mapping[str, Any]] = {"keyframe_every": 5}
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """The points of one keyframe."""
+        chosen, share = None, self.share * self.first_share
+        if ctx.has_map:
+            chosen = (ctx.render().alpha < self.min_alpha) | (depth_error_m(ctx) > self.depth_error)
+            share = self.share
+        uv = ctx.pixels(chosen)
+        seeds = ctx.seeds_at(uv[ctx.draw(len(uv), round(share * len(uv)))], 1.0, opacity=self.opacity)
+        return sized_by_neighbours(ctx, seeds, "new and map")
+
+
+@seeding_rule
+@dataclass(frozen=True, kw_only=True)
+class cg_slam(MapRule):
+    """CG-SLAM: every 30 frames, a Gaussian for each pixel that the map does not cover.
+
+    Each pixel with depth where A < 0.5. Round Gaussians as large as the root mean square distance to their 3 nearest
+    neighbours, new or in the map.
+
+    Args:
+        min_alpha: Pixels with a smaller accumulated opacity A are seeded. Release: 0.5.
+        share: Share of the pixels that is drawn at random, 0..1; the sizes follow from the distances. Release: 1.
+
+    In the release only visible Gaussians of the map count as neighbours; here all do, of which the nearest 3 are almost
+    always visible. Left out because the optimiser does it: one step of splitting and pruning halfway (opacity 0.005, 20
+    pixels), the anisotropy loss, and uncertainty. The release maps every 30th frame on Replica.
+    Source: Hu et al. 2024 (CG-SLAM) and its released code.
+    """
+
+    min_alpha: float = 0.5
+    share: float = 1.0
+
+    when: ClassVar[When] = every(30)
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """The points of one mapped frame."""
+        uv = ctx.pixels(ctx.render().alpha < self.min_alpha if ctx.has_map else None)
+        uv = uv[ctx.draw(len(uv), round(self.share * len(uv)))]
+        return sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0), "new and map")
+
+
+@seeding_rule
+def vings(
+    ctx: SeedContext,
+    *,
+    share: float = 0.13,
+    max_alpha: float = 0.98,
+    median_factor: float = 10.0,
+    colour_error: float = 0.1,
+    thickness: float = 0.1,
+    as_released: bool = True,
+) -> Seeds:
+    """VINGS-Mono: as many discs as there are pixels with errors, drawn from all pixels, of random orientation.
+
+    Their number is ``share`` times the number of the image's pixels where
+
+        A <= 0.98   or   |D^ - D| > 10 median |D^ - D|   or   sum over R, G, B of |C^ - C| > 0.1
+
+    Their size is the root mean square distance to the 3 nearest new ones, the same on both axes of the disc, their
+    opacity 0.8, in the first frame 0.1.
+
+    Args:
+        ctx: Frame and Gaussian map.
+        share: Number of Gaussians as a share of the pixels that the test chooses. The release makes 40,000 Gaussians if
+            all pixels are chosen, whatever the size of the image; that is 0.13 of 640 x 480 pixels.
+        max_alpha: Pixels with an accumulated opacity A up to this are chosen. Release: 0.98.
+        median_factor: How many medians a depth error must exceed, on either side. Release: 10.
+        colour_error: Sum of the absolute colour errors (0..1 each) above which a pixel is chosen. Release: 0.1.
+        thickness: Third standard deviation as a share of the other two. The release has flat Gaussians without one;
+            0.1 is chosen here.
+        as_released: The released code draws the points from all pixels with depth, so the test decides only how many
+            there are. False draws them from the chosen pixels.
+
+    Left out because the optimiser does it: pruning by size in the image, and training only unstable Gaussians with
+    large errors. VINGS estimates depth; here it is measured. Its renderer divides the depth by A
+    (``scripts/gaussian/gaussian_base.py``, ``render_raw``); here D^ is not divided, so that the depth test also chooses
+    pixels that the map covers only in part.
+    Source: the released code of VINGS-Mono.
+    """
+    chosen = known = ctx.has_depth()
+    if ctx.has_map:
+        view = ctx.render()
+        wrong = (view.rgb - ctx.frame.rgb).abs().sum(dim=-1) > colour_error
+        depth = unmapped_pixels(ctx, 0.0, median_factor, sides="both")
+        chosen = known & ((view.alpha <= max_alpha) | depth | wrong)
+    count = round(share * int(chosen.sum()))
+    uv = ctx.pixels(known if as_released else chosen)
+    uv = uv[ctx.draw(len(uv), count)]
+    balls = sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0, opacity=0.8 if ctx.has_map else 0.1))
+    generator = ctx.generator
+    quat = torch.randn(len(balls), 4, generator=generator, device=generator.device).to(balls.quat)
+    return dataclasses.replace(balls, quat=quaternion.normalise(quat), scale_m=thin(balls.scale_m, thickness))
