@@ -61,7 +61,7 @@ class TrackingConfig(Settings, group="tracking"):
     back_end: bool = False
     """Detect loops, and correct the trajectory by landmarks and a pose graph over keyframes (Peng et al. 2024, section
     3.2, "Camera tracking"). Each Gaussian moves with the keyframe near which it was created; the released code leaves
-    them. Needs the extra "slam" (GTSAM)."""
+    them."""
 
     def __post_init__(self):
         super().__post_init__()

@@ -25,7 +25,6 @@ from .landmark_map import Sighting as Sighting
 from .pose_graph import Edge as Edge
 from .pose_graph import odometry_information as odometry_information
 from .pose_graph import optimise_poses as optimise_poses
-from .pose_graph import optimise_poses_plain as optimise_poses_plain
 from .pose_graph import pose_graph_step as pose_graph_step
 from .pose_graph import relative_pose_error as relative_pose_error
 from .surface import DepthLevel as DepthLevel

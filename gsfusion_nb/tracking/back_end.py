@@ -2,7 +2,7 @@
 
 Peng et al. 2024, section 3.2: "a back-end optimization thread similar to ORB-SLAM2 ... a set of 3D landmarks are also
 maintained ... used for graph optimization". Here it runs in turn with the front end, keyframe by keyframe, with ORB
-features (OpenCV) and a factor graph (GTSAM).
+features (OpenCV) and a pose graph.
 
 A ``Correction`` holds the poses of keyframes before and after; everything else moves with them.
 """
@@ -28,7 +28,6 @@ from .pose_graph import (
     fit_odometry,
     odometry_information,
     optimise_poses,
-    require_gtsam,
     with_floor,
 )
 
@@ -141,11 +140,7 @@ class BackEnd:
         Args:
             camera: Intrinsics of all frames.
             features, levels: ORB features of a keyframe and levels of their pyramid (``extract_features``).
-
-        Raises:
-            ImportError: GTSAM is not installed.
         """
-        require_gtsam()
         self.camera = camera
         self.map = LandmarkMap(camera, count=features, levels=levels)
         """Keyframes and landmarks; the front end uses it, too."""

@@ -1,7 +1,5 @@
 """Least squares over landmarks: the pose of one view (``landmark_pose``), and all poses and landmarks (``adjust``).
 
-This is bundle adjustment in numpy, without GTSAM.
-
 The unknowns are twists of the poses, T_k <- T_k exp(xi_k), and shifts of the landmarks. Their normal equations are
 
     [ U    W ] [xi]     [b_p]

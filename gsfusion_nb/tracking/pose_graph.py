@@ -1,22 +1,22 @@
-"""Least squares over the keyframes' poses, from relative poses: by GTSAM, and written by hand.
+"""Least squares over the keyframes' poses, from relative poses.
 
 Units: metres, radians. A relative pose's information is the inverse covariance of xi in T_ij exp(xi), rotation
-first (1/rad^2), then translation (1/m^2); GTSAM orders a pose's tangent in the same way.
+first (1/rad^2), then translation (1/m^2).
 
-``optimise_poses_plain`` takes Gauss-Newton steps in plain PyTorch. A pose is changed in its own camera frame, T_k <-
-T_k exp(xi_k), translation first. For an edge that measured T_ij,
+``optimise_poses`` takes Gauss-Newton steps. A pose is changed in its own camera frame, T_k <- T_k exp(xi_k),
+translation first. For an edge that measured T_ij,
 
     e = log(T_ij^-1 T_i^-1 T_j),   de/dxi_j = J,   de/dxi_i = -J Ad(T_j^-1 T_i),
     J = I + A/2 + A^2/12 - A^4/720  with  A = [[hat(omega), hat(rho)], [0, hat(omega)]]  of  e = (rho, omega).
 
 One step solves  H xi = -b,  H = sum J_a^T Omega J_c,  b = sum J_a^T Omega e,  over the ends a, c of all edges. The
-first pose is fixed. ``optimise_poses`` solves the same problem with GTSAM, which uses that H is sparse.
+first pose is fixed. An edge touches two poses only, so H is sparse, and SuperLU solves it.
 
 Source: Sola et al. 2018 (A micro Lie theory), Grisetti et al. 2010 (A tutorial on graph-based SLAM).
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -54,6 +54,9 @@ SLIPPED = 10.0
 _HALVES = (slice(0, 3), slice(3, 6))
 """Rotation and translation in a tangent vector."""
 
+_OTHER_HALF_FIRST = [3, 4, 5, 0, 1, 2]
+"""From the order of an ``Edge``'s information, rotation first, to that of ``se3``'s twists, and back."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Edge:
@@ -78,21 +81,6 @@ class Optimised:
     """Half the sum of (robust) squared errors in standard deviations, at the start ..."""
     error_after: float
     """... and at the end."""
-
-
-def require_gtsam() -> Any:
-    """The module ``gtsam``.
-
-    Raises:
-        ImportError: it is not installed; the message says how to install it.
-    """
-    try:
-        import gtsam
-    except ImportError as e:
-        raise ImportError(
-            f"the back end needs GTSAM, which cannot be imported ({e}); to install it: pip install 'gsfusion-nb[slam]'"
-        ) from None
-    return gtsam
 
 
 def odometry_information(sigma_deg: float, sigma_m: float) -> Float[Tensor, "6 6"]:
@@ -127,7 +115,7 @@ def fit_odometry(edges: list[Edge]) -> list[Edge]:
     both = [(steps[e.j], e) for e in edges if e.kind == "landmarks" and e.j in steps and e.i == steps[e.j].i]
     if len(both) < MIN_STEPS:
         return edges
-    d2 = torch.stack([_log(se3.inverse(a.T_ij) @ b.T_ij) for a, b in both]).square()
+    d2 = torch.stack([_difference(a.T_ij, b.T_ij) for a, b in both]).square()
     s2 = torch.stack([torch.linalg.inv(b.information).diagonal() for _, b in both])
     given = torch.stack([torch.linalg.inv(a.information).diagonal() for a, _ in both]).amax(0)
     floor = torch.linalg.inv(odometry_information(*ODOMETRY_FLOOR)).diagonal()
@@ -141,79 +129,13 @@ def fit_odometry(edges: list[Edge]) -> list[Edge]:
 
 def edge_error(edge: Edge, T_WC: Float[Tensor, "K 4 4"]) -> float:
     """Length of the edge's error at these poses, in standard deviations: sqrt(xi^T information xi)."""
-    xi = _log(se3.inverse(edge.T_ij) @ se3.inverse(T_WC[edge.i]) @ T_WC[edge.j])
+    xi = _difference(edge.T_ij, se3.inverse(T_WC[edge.i]) @ T_WC[edge.j])
     return float((xi @ edge.information @ xi).clamp_min(0).sqrt())
 
 
-def optimise_poses(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, iterations: int = 50) -> Optimised:
-    """Poses that agree best with the relative poses; the first pose is fixed.
-
-    minimise  sum rho(|log(T_ij^-1 T_i^-1 T_j)|_information), with rho Huber for steps between neighbours and Cauchy
-    for loops: a false loop contradicts all others and loses its weight. Levenberg-Marquardt is started twice, from the
-    present poses and from the optimum without robust weights of loops, because after a long drift also the first true
-    loop has a large error. The lower of the two minima is used.
-
-    Args:
-        T_WC: Camera-to-world poses to start from. [K, 4, 4]
-        edges: Relative poses; every keyframe must be connected with the first one.
-        iterations: Largest number of steps.
-
-    Raises:
-        ImportError: without GTSAM.
-
-    Differentiable: no.
-    """
-    check_shape("T_WC", T_WC, ("K", 4, 4))
-    found = _fit(T_WC, T_WC, edges, iterations, robust=True)
-    if not any(e.kind == "loop" for e in edges):
-        return found
-    closed = _fit(T_WC, T_WC, edges, iterations, robust=False)
-    other = _fit(T_WC, closed.T_WC, edges, iterations, robust=True)
-    return other if other.error_after < found.error_after else found
-
-
-def _fit(T_WC: Tensor, start: Tensor, edges: list[Edge], iterations: int, *, robust: bool) -> Optimised:
-    gtsam = require_gtsam()
-    graph, values = _start(gtsam, T_WC)
-    for edge in edges:
-        graph.add(_between(gtsam, edge, robust))
-    before = float(graph.error(values))
-    return replace(_solve(gtsam, graph, _start(gtsam, start)[1], len(T_WC), iterations), error_before=before)
-
-
-def _start(gtsam: Any, T_WC: Tensor) -> tuple[Any, Any]:
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for k, T in enumerate(T_WC.double().numpy()):
-        values.insert(k, gtsam.Pose3(T))
-    if len(T_WC):
-        hold = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)
-        graph.add(gtsam.PriorFactorPose3(0, values.atPose3(0), hold))
-    return graph, values
-
-
-def _between(gtsam: Any, edge: Edge, robust: bool = True) -> Any:
-    noise = gtsam.noiseModel.Gaussian.Information(edge.information.numpy())
-    estimators = gtsam.noiseModel.mEstimator
-    if edge.kind == "loop" and robust:
-        noise = gtsam.noiseModel.Robust.Create(estimators.Cauchy.Create(LOOP_CAUCHY), noise)
-    else:
-        noise = gtsam.noiseModel.Robust.Create(estimators.Huber.Create(TRACK_HUBER), noise)
-    return gtsam.BetweenFactorPose3(edge.i, edge.j, gtsam.Pose3(edge.T_ij.numpy()), noise)
-
-
-def _solve(gtsam: Any, graph: Any, values: Any, poses: int, iterations: int) -> Optimised:
-    before = float(graph.error(values))
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(iterations)
-    parameters.setRelativeErrorTol(1e-5)
-    done = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    T_WC = [torch.from_numpy(np.array(done.atPose3(k).matrix())) for k in range(poses)]
-    stacked = torch.stack(T_WC) if T_WC else torch.zeros((0, 4, 4), dtype=torch.float64)
-    return Optimised(T_WC=stacked, error_before=before, error_after=float(graph.error(done)))
-
-
-def _log(T: Float[Tensor, "4 4"]) -> Float[Tensor, " 6"]:
-    return torch.from_numpy(np.array(require_gtsam().Pose3.Logmap(require_gtsam().Pose3(T.double().numpy()))))
+def _difference(T_a: Float[Tensor, "4 4"], T_b: Float[Tensor, "4 4"]) -> Float[Tensor, " 6"]:
+    """The twist from one pose to another, rotation first."""
+    return se3.log((se3.inverse(T_a) @ T_b).double())[_OTHER_HALF_FIRST]
 
 
 GRAPH_LEAST_FALL = 1e-5
@@ -221,9 +143,6 @@ GRAPH_LEAST_FALL = 1e-5
 
 HALVINGS = 8
 """A step that makes the error larger is halved up to this often."""
-
-_TRANSLATION_FIRST = [3, 4, 5, 0, 1, 2]
-"""Order of an ``Edge``'s information, which has rotation first, in the twists used here."""
 
 
 @piece
@@ -267,24 +186,35 @@ def pose_graph_step(
         information: Weight of each edge, Omega: the inverse covariance of e. [E, 6, 6]
 
     Raises:
-        torch.linalg.LinAlgError: a pose is not connected with the first one.
+        RuntimeError: a pose is not connected with the first one.
     """
+    from scipy.sparse import bsr_array
+    from scipy.sparse.linalg import splu
+
     K = len(T_WC)
-    H, b = T_WC.new_zeros(K, K, 6, 6), T_WC.new_zeros(K, 6)
+    H, b = torch.zeros((K, K, 6, 6), dtype=T_WC.dtype, layout=torch.sparse_coo), T_WC.new_zeros(K, 6)
     for a, J_a in ((i, J_i), (j, J_j)):
         weighted = J_a.mT @ information
         b.index_add_(0, a, (weighted @ e[:, :, None])[:, :, 0])
         for c, J_c in ((i, J_i), (j, J_j)):
-            H.index_put_((a, c), weighted @ J_c, accumulate=True)
-    H = H.transpose(1, 2).reshape(6 * K, 6 * K)
-    xi = torch.linalg.solve(H[6:, 6:], -b.flatten()[6:]).view(-1, 6)  # the first pose is left out: it is fixed
+            at = torch.stack((a, c))
+            H = H + torch.sparse_coo_tensor(at, weighted @ J_c, H.shape, check_invariants=True)
+    H = H.coalesce()
+    row, column = H.indices()
+    first = torch.searchsorted(row, torch.arange(K + 1))  # number of the first block in each row
+    blocks = bsr_array((H.values().numpy(), column.numpy(), first.numpy()), shape=(6 * K, 6 * K))
+    free = blocks.tocsc()[6:, 6:]  # the first pose is left out: it is fixed
+    xi = torch.from_numpy(splu(free, "MMD_AT_PLUS_A").solve(-b.flatten()[6:].numpy())).view(-1, 6)
     return torch.cat([T_WC[:1], T_WC[1:] @ se3.exp(xi)])
 
 
-def optimise_poses_plain(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, iterations: int = 50) -> Optimised:
-    """``optimise_poses`` without GTSAM: the same robust least squares by Gauss-Newton steps, from the same two starts.
+def optimise_poses(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, iterations: int = 50) -> Optimised:
+    """Poses that agree best with the relative poses; the first pose is fixed.
 
-    For some hundred poses: H is stored whole, [6 K, 6 K].
+    minimise  sum rho(|log(T_ij^-1 T_i^-1 T_j)|_information), with rho Huber for steps between neighbours and Cauchy
+    for loops: a false loop contradicts all others and loses its weight. Gauss-Newton steps are started twice, from the
+    present poses and from the optimum without robust weights of loops, because after a long drift also the first true
+    loop has a large error. The lower of the two minima is used.
 
     Args:
         T_WC: Camera-to-world poses to start from. [K, 4, 4]
@@ -292,7 +222,7 @@ def optimise_poses_plain(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, ite
         iterations: Largest number of steps from each start.
 
     Raises:
-        torch.linalg.LinAlgError: a keyframe is not connected with the first one.
+        RuntimeError: a keyframe is not connected with the first one.
 
     Differentiable: no.
     """
@@ -316,7 +246,7 @@ class EdgeTerms:
     def __init__(self, edges: list[Edge]):
         self.i, self.j = (torch.tensor([getattr(e, end) for e in edges]) for end in ("i", "j"))
         self.T_ij = torch.stack([e.T_ij for e in edges]).double()
-        order = torch.tensor(_TRANSLATION_FIRST)
+        order = torch.tensor(_OTHER_HALF_FIRST)
         self.information = torch.stack([e.information for e in edges]).double()[:, order][:, :, order]
         self.is_loop = torch.tensor([e.kind == "loop" for e in edges])
 

@@ -19,8 +19,6 @@ from gsfusion_nb.tracking import back_end as back_end_module
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Frame
 
-pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
-
 TRACKING = {"poses": "tracked", "back_end": True}
 VOXEL_M = 0.04
 
@@ -143,8 +141,6 @@ def test_gps_slam_looks_at_the_new_volume_from_the_corrected_poses(frames):
     seen = mapper.below(frames[2].camera, poses[2])
     torch.testing.assert_close(seen.base.depth_m, expected.depth_m)
 
-
-pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
 
 LOOP = {"poses": "tracked", "landmarks": True, "back_end": True}
 

@@ -36,7 +36,6 @@ SETTINGS = {
 @pytest.fixture(scope="module")
 def states(tmp_path_factory):
     """What checkpoints of interrupted runs hold: each with a step of the optimisation after the scan."""
-    pytest.importorskip("gtsam")
     found = {}
     for name, config in SETTINGS.items():
         folder = tmp_path_factory.mktemp(name)

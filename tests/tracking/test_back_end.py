@@ -15,8 +15,6 @@ from gsfusion_nb.tracking import loops
 from gsfusion_nb.tracking.back_end import BackEnd, Correction
 from gsfusion_nb.types import Camera, Frame
 
-pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
-
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
 
 

@@ -1,4 +1,4 @@
-"""Bundle adjustment on simulated observations: exact data are a fixed point, noise is averaged, GTSAM agrees."""
+"""Bundle adjustment on simulated observations: exact data are a fixed point, noise is averaged."""
 
 import dataclasses
 

@@ -12,7 +12,7 @@ from ...config import TrackingConfig
 from ...drawing.curves import BETWEEN, PALETTE, style
 from ...tracking import Surface, align, depth_pyramid, icp_system
 from ...tracking.icp import solve_step
-from ...tracking.pose_graph import Edge, optimise_poses_plain
+from ...tracking.pose_graph import Edge, optimise_poses
 from ...types import Camera
 from ..panels.icp import RESIDUAL_M
 from ..panels.tsdf import distance_colours
@@ -197,7 +197,7 @@ def _flat(p: np.ndarray, q: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 GRAPH_WATCH = {
-    optimise_poses_plain: {
+    optimise_poses: {
         "relative_pose_error": ("e", "J"),
         "weighted": (),
         "_descend": ("T_WC", "e", "J_i", "J_j", "error", "after", "share", "proposed"),
@@ -208,7 +208,7 @@ _DEGREES = 180 / torch.pi
 
 
 def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepper:
-    """Press Next through the first step of ``optimise_poses_plain`` on a small graph.
+    """Press Next through the first step of ``optimise_poses`` on a small graph.
 
     Left: the cameras from above, the first one fixed; loops are orange, the edge in question is red. Right: the size of
     the blocks of H, one row for each pose.
@@ -222,7 +222,7 @@ def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepp
     """
     if len(T_WC) < 2 or not edges:
         raise ValueError(f"two poses and an edge are needed, got {len(T_WC)} poses and {len(edges)} edges")
-    recording = record(lambda: optimise_poses_plain(T_WC, edges, iterations=1), GRAPH_WATCH)
+    recording = record(lambda: optimise_poses(T_WC, edges, iterations=1), GRAPH_WATCH)
     steps = [*_errors(recording, edges), *_system(recording, edges), *_update(recording)]
     proposed = _first(recording, "proposed = pose_graph_step")["proposed"]
     every = torch.cat([T_WC.double(), proposed])[:, :2, 3]
@@ -277,7 +277,7 @@ def _informations(edges: list[Edge]) -> list[Tensor]:
 
 
 def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
-    blocks = [line for line in recording.at("H.index_put_(") if line.call == 0]
+    blocks = [line for line in recording.at("H = H + torch.sparse_coo_tensor(") if line.call == 0]
     sides = [line for line in recording.at("b.index_add_(") if line.call == 0]
     scene = _start(recording)
     steps = []
@@ -287,7 +287,7 @@ def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
             rows = [(str(p), text_of(b, 3)) for p, b in enumerate(side["b"])]
             title = f"b gets J^T Omega e of pose {'ij'[k // 2]} of every edge: the slope of the error at each pose."
             steps.append(Step(side, title, rows, dict(scene), ("pose", "b")))
-        norm = line["H"].flatten(2).norm(dim=2)
+        norm = line["H"].to_dense().flatten(2).norm(dim=2)
         scene = scene | {"H": norm}
         title = f"H gets a block J^T Omega J at ({ends}) for each of the {len(edges)} edges."
         filled = [("blocks that are not zero", f"{int((norm > 0).sum())} of {norm.numel()}")]
@@ -296,10 +296,11 @@ def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
 
 
 def _update(recording: Recording) -> list[Step]:
-    solve, move = _first(recording, "xi = torch.linalg.solve"), _first(recording, "return torch.cat([T_WC[:1]")
+    solve, move = _first(recording, "xi = torch.from_numpy(splu("), _first(recording, "return torch.cat([T_WC[:1]")
     before = _first(recording, "error = graph.robust_error(e, robust)")
     after = _first(recording, "after = graph.robust_error(there[0], robust)")
-    H = [line for line in recording.at("H.index_put_(") if line.call == 0][-1]["H"].flatten(2).norm(dim=2)
+    last = [line for line in recording.at("H = H + torch.sparse_coo_tensor(") if line.call == 0][-1]
+    H = last["H"].to_dense().flatten(2).norm(dim=2)
     scene = _start(recording) | {"H": H}
     rows = [(str(k), text_of(100 * xi[:3], 3), text_of(_DEGREES * xi[3:], 3)) for k, xi in enumerate(solve["xi"], 1)]
     title = "Solve H xi = −b for all poses but the first, which is fixed: where each pose should move."

@@ -10,7 +10,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TrackingConfig
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking import icp
-from gsfusion_nb.tracking.pose_graph import Edge, odometry_information, optimise_poses_plain
+from gsfusion_nb.tracking.pose_graph import Edge, odometry_information, optimise_poses
 from gsfusion_nb.viz import displaced_pose, frame_surface, icp_stepper, pose_graph_stepper
 
 
@@ -59,7 +59,7 @@ def test_pose_graph_ends_with_the_poses_of_one_step(loop, press):
     moved = stepper.steps[-1].scene["T_WC"]
     torch.testing.assert_close(moved[0], T_WC[0])
     without_loops = [dataclasses.replace(e, kind="odometry") for e in edges]
-    once = optimise_poses_plain(T_WC, without_loops, iterations=1)
+    once = optimise_poses(T_WC, without_loops, iterations=1)
     alone = pose_graph_stepper(T_WC, without_loops)
     torch.testing.assert_close(alone.steps[-1].scene["T_WC"], once.T_WC)
     assert float({row[0]: row[1] for row in alone.steps[-1].numbers}["error after"]) == pytest.approx(
