@@ -50,13 +50,6 @@ def _check_size(name: str, got: tuple[int, ...], expected: tuple[int | str, ...]
         raise ValueError(f"{name} must be [{wanted}], got {list(got)}")
 
 
-def check_mask(name: str, value: Tensor, expected: tuple[int | str, ...]) -> None:
-    """Raise ``ValueError`` unless ``value`` is boolean and has the expected shape."""
-    check_shape(name, value, expected)
-    if value.dtype != torch.bool:
-        raise ValueError(f"{name} must be boolean, got {value.dtype}")
-
-
 def check_finite(name: str, value: Tensor) -> None:
     """Raise ``ValueError`` if ``value`` holds a NaN or an infinity, with the count and the first place."""
     bad = ~torch.isfinite(value)

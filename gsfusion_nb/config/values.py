@@ -98,12 +98,9 @@ def check_kinds(group: str, config: Any) -> None:
         words = typing.get_args(f.type) if typing.get_origin(f.type) is typing.Literal else ()
         if words and value not in words:
             raise ValueError(f"{name} must be one of {', '.join(words)}, got {shown(value)}")
-        if f.type is int and (isinstance(value, bool) or not isinstance(value, int)):
-            raise ValueError(f"{name} must be a whole number, got {shown(value)}")
-        if f.type is bool and not isinstance(value, bool):
-            raise ValueError(f"{name} must be True or False, got {shown(value)}")
-        if f.type is str and not isinstance(value, str):
-            raise ValueError(f"{name} must be a text, got {shown(value)}")
+        for kind, wanted in ((int, "a whole number"), (bool, "True or False"), (str, "a text")):
+            if f.type is kind and (not isinstance(value, kind) or isinstance(value, bool) != (kind is bool)):
+                raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
         if isinstance(f.type, type) and dataclasses.is_dataclass(f.type) and not isinstance(value, f.type):
             raise ValueError(f"{name} must be a group of settings, got {shown(value)}")
         if typing.get_origin(f.type) is dict and not isinstance(value, dict):

@@ -14,8 +14,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import observed
-from ..checks import check_finite, check_mask, check_shape, shown
+from ..checks import check_finite, check_shape, shown
 from ..geometry import quaternion
+from ..geometry.operands import MASK, check_operand
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import Seeds
 
@@ -96,7 +97,7 @@ class Edit:
         )
         keep = self.keep
         if keep is not None:
-            check_mask("keep", keep, (len(sh),))
+            check_operand("keep", keep, (len(sh),), dtypes=MASK)
             keep = keep.to(sh.device)
         if self.add is not None:
             _check_add(self.add)

@@ -242,16 +242,18 @@ def _run_unchanged(rule: SeedingRule, ctx: SeedContext, where: str) -> Seeds:
     """Run once; frame and maps must be bit for bit the same afterwards."""
     fresh = _fresh(ctx)
     _ = fresh.frame.rgb
-    watched = [(name, tensor, tensor.clone()) for name, tensor in context_tensors(fresh)]
-    seeds = apply_rule(rule, fresh)
+    with _unchanged(fresh, where):
+        return apply_rule(rule, fresh)
+
+
+@contextmanager
+def _unchanged(ctx: SeedContext, where: str) -> Iterator[None]:
+    """Raise ``AssertionError`` at the end of the block if anything that a rule can read was changed in place."""
+    watched = [(name, tensor, tensor.clone()) for name, tensor in context_tensors(ctx)]
+    yield
     for name, tensor, before in watched:
         if not torch.equal(tensor, before):
-            raise AssertionError(_changed(where, name))
-    return seeds
-
-
-def _changed(where: str, what: str) -> str:
-    return f"{where}: it changed {what} in place; work on a copy (x.clone())"
+            raise AssertionError(f"{where}: it changed {name} in place; work on a copy (x.clone())")
 
 
 def _check_walk(rule: SeedingRule, kept: str, extra: Any, where: str) -> int:
@@ -284,15 +286,11 @@ def _check_after_step(
     edits, memories, second = [], [], copy.deepcopy(ctx.gaussians)  # statistics may be restarted
     for seed, model in ((1, ctx.gaussians), (2, second)):
         fresh = _fresh(ctx, gaussians=model)
-        watched = [(name, tensor, tensor.clone()) for name, tensor in context_tensors(fresh)]
-        with _other_generators(seed):
+        with _unchanged(fresh, where), _other_generators(seed):
             edit = rule.after_step(fresh, given, fresh.memory)
         if edit is not None and not isinstance(edit, Edit):
             raise TypeError(f"{where}: after_step must return an Edit or None, got {shown(edit)}")
         check_memory(rule_name(type(rule)), fresh.memory)
-        for name, tensor, before in watched:
-            if not torch.equal(tensor, before):
-                raise AssertionError(_changed(where, name))
         edits.append(edit)
         memories.append(fresh.memory)
     if not equal_memories(*map(_as_memory, edits)) or not equal_memories(*memories):
@@ -366,7 +364,7 @@ def _check_randomness(rule: SeedingRule, ctx: SeedContext, first: Seeds, where: 
                 f"{where}: it drew random numbers from torch's global generator; draw from the context only: "
                 "torch.rand(..., generator=ctx.generator)"
             )
-        if not _same(first, again):
+        if not equal_memories(vars(first), vars(again)):
             raise AssertionError(
                 f"{where}: two runs on the same input gave different seeds; a rule may depend on the context only, "
                 "and draw from ctx.generator only"
@@ -399,7 +397,7 @@ def _check_missing_depth(rule: SeedingRule, ctx: SeedContext, where: str) -> Non
 def _check_every_option(rule: SeedingRule, ctx: SeedContext, first: Seeds, where: str) -> None:
     """Passing the defaults by name changes nothing; every switch and every choice works."""
     defaults = rule_options(rule)
-    if not _same(first, apply_rule(rule, _fresh(ctx), defaults)):
+    if not equal_memories(vars(first), vars(apply_rule(rule, _fresh(ctx), defaults))):
         raise AssertionError(
             f"{where}: passing its own defaults {defaults} by name gave other seeds than leaving them out"
         )
@@ -414,10 +412,6 @@ def _switched(defaults: dict[str, Option], choices: dict[str, tuple[str, ...]]) 
             yield {name: not default}
         for word in choices.get(name, ()):
             yield {name: word}
-
-
-def _same(a: Seeds, b: Seeds) -> bool:
-    return all(torch.equal(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(Seeds))
 
 
 @contextmanager

@@ -3,24 +3,34 @@
 import functools
 import time
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
-from ..geometry import backproject, depth_to_normals, pixel_grid, se3
+from ..geometry import backproject, depth_to_normals, pixel_grid, quaternion, se3
 from ..render import BaseView, OverBaseOutput, SurfaceView, render, render_over_base, view_surface
 from ..tsdf import RaycastOutput, TsdfVolume, raycast
 from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
-from .image_features import ImageFeatures
-from .points import MapView, PointQueries, view_map
+from .image_features import (
+    SMALLEST_LEVEL_PX,
+    EdgeDirection,
+    absolute_laplacian,
+    canny,
+    gradient_length,
+    luma,
+    orb_corners,
+    shi_tomasi_corners,
+    structure_directions,
+)
+from .points import MapView, Neighbours, k_nearest, nearest_others, view_map, voxel_keys
 from .quadtree import Cells, cell_gaussians, quadtree
 
 
 @dataclass(frozen=True, eq=False)
-class SeedContext(ImageFeatures, PointQueries):
+class SeedContext:
     """Everything a seeding rule is given. ``SeedContext(frame)`` alone is enough for rules that need no map.
 
     The current frame is already fused into the volume (GSFusion, section III-B.2), but not yet in the Gaussian map.
@@ -260,6 +270,145 @@ class SeedContext(ImageFeatures, PointQueries):
             return view_surface(shown, self.camera, self.frame.T_WC, self.discs)
 
         return draw() if rows is not None else self._once("surface", draw)
+
+    def grey(self) -> Float[Tensor, "H W"]:
+        """Brightness of the picture, 0..1: 0.2989 R + 0.587 G + 0.114 B. [H, W]"""
+        return self._once("grey", lambda: luma(self.frame.rgb))
+
+    def gradient(self) -> Float[Tensor, "H W"]:
+        """Length of the gradient of the brightness, per pixel (central differences; one-sided at the border). [H, W]"""
+        return self._once("gradient", lambda: gradient_length(self.grey()))
+
+    def laplacian(self) -> Float[Tensor, "H W"]:
+        """Sum over R, G, B of the absolute Laplacian (four neighbours), 0..12: the fine detail. [H, W]"""
+        return self._once("laplacian", lambda: absolute_laplacian(self.frame.rgb))
+
+    def edge_direction(self, window_px: int = 3) -> EdgeDirection:
+        """How edges run through each pixel, and how clearly, from the structure tensor of the brightness (Foerstner and
+        Guelch 1987).
+
+        Args:
+            window_px: Odd side of the square over which the tensor is averaged.
+        """
+        return self._once(("edge direction", window_px), lambda: structure_directions(self.grey(), window_px))
+
+    def edges(
+        self, low: float = 100.0, high: float = 200.0, dilate_px: int = 1, *, euclidean: bool = False
+    ) -> Bool[Tensor, "H W"]:
+        """Pixels on edges (Canny 1986, as in OpenCV).
+
+        Args:
+            low, high: Thresholds of the hysteresis, for the gradient of grey levels 0..255.
+            dilate_px: Edges are made this many pixels wide; 1 leaves them as they are.
+            euclidean: The gradient's length is the root of gx^2 + gy^2 (OpenCV's L2gradient); else |gx| + |gy|, which
+                is larger, so more edges pass the thresholds.
+
+        Returns:
+            A mask. [H, W]
+        """
+        return self._once(
+            ("edges", low, high, dilate_px, euclidean), lambda: canny(self.frame, low, high, dilate_px, euclidean)
+        )
+
+    def corners(self, count: int = 1000, method: Literal["orb", "shi_tomasi"] = "orb") -> Float[Tensor, "K 2"]:
+        """Positions of the strongest corners, continuous pixel coordinates, at centres of pixels; none in an image with
+        a side below 8 pixels. [K, 2]
+
+        Args:
+            count: At most this many.
+            method: "orb": FAST corners on eight image sizes, by their Harris score, as ORB takes them (OpenCV, about
+                6 ms at 320x240); "shi_tomasi": the smaller eigenvalue of the structure tensor, largest within 5 x 5
+                pixels (kornia, about 20 ms; on the frame's device).
+
+        Source: Rublee et al. 2011; Shi and Tomasi 1994.
+        """
+        if min(self.frame.camera.width, self.frame.camera.height) < SMALLEST_LEVEL_PX:
+            return self.frame.depth_m.new_zeros(0, 2)
+        find = orb_corners if method == "orb" else shi_tomasi_corners
+        return self._once(("corners", count, method), lambda: find(self.frame, count))
+
+    @property
+    def has_map(self) -> bool:
+        """Whether the map has any Gaussian; False also without a map."""
+        return self.gaussians is not None and len(self.gaussians.params) > 0
+
+    def nearest(
+        self, xyz_W: Float[Tensor, "M 3"], k: int = 3, among: Literal["new", "map", "new and map"] = "new"
+    ) -> Neighbours:
+        """The ``k`` nearest neighbours of each point; ``nearest(xyz_W).spacing_m`` is the usual size of a new Gaussian.
+
+        Args:
+            xyz_W: New points, world frame, metres. [M, 3]
+            k: Number of neighbours.
+            among: "new": the other new points; "map": the Gaussians of the map; "new and map": both.
+
+        Returns:
+            ``distance_m`` and ``row``, [M, k]. Rows count the new points first, then the map's, with "map" only the
+            map's.
+        """
+        existing = self.map.xyz_W if among != "new" and self.has_map else xyz_W[:0]
+        if among != "map":
+            return nearest_others(xyz_W, existing, k)
+        distance, row = k_nearest(xyz_W, existing, k)
+        return Neighbours(distance_m=distance, row=row.masked_fill(row == len(existing), -1))
+
+    def occupied(self, xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
+        """Whether the voxel that contains each point holds the centre of a Gaussian of the map. [M]
+
+        The voxels are those of a grid at the world's origin and are independent of the TSDF. Keeping only points in
+        voxels that are not occupied, and of those the ones of ``first_in_voxel``, gives one Gaussian a voxel in the
+        whole map, as long as the optimisation does not move them into another voxel.
+
+        Args:
+            xyz_W: Points, world frame, metres. [M, 3]
+            voxel_size_m: Edge length of a voxel, metres.
+        """
+        held = self.map.xyz_W if self.has_map else xyz_W[:0]
+        return torch.isin(voxel_keys(xyz_W, voxel_size_m), voxel_keys(held, voxel_size_m))
+
+    def first_in_voxel(self, xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
+        """True for the first of the points in each voxel. [M]"""
+        keys, group = voxel_keys(xyz_W, voxel_size_m).unique(return_inverse=True)
+        row = torch.arange(len(xyz_W), device=xyz_W.device)
+        first = torch.full_like(keys, len(xyz_W)).scatter_reduce_(0, group, row, "amin")
+        return first[group] == row
+
+    def outliers(self, xyz_W: Float[Tensor, "M 3"], k: int = 40, std_ratio: float = 2.0) -> Bool[Tensor, " M"]:
+        """Points whose mean distance to their ``k`` nearest others exceeds the mean of all points by ``std_ratio``
+        standard deviations (the statistical outlier filter, Rusu et al. 2008). With fewer points, all others are the
+        neighbours of each. [M]"""
+        k = min(k, len(xyz_W) - 1)
+        if k < 1:
+            return torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
+        mean = nearest_others(xyz_W, xyz_W[:0], k).distance_m.mean(dim=1)
+        return mean > mean.mean() + std_ratio * mean.std()
+
+    def draw(self, n: int, count: int) -> Int[Tensor, " K"]:
+        """``count`` of the numbers 0 .. n - 1 at random, without replacement, in increasing order; all if there are
+        fewer. On the frame's device. [K]"""
+        order = torch.randperm(n, generator=self.generator, device=self.generator.device)
+        return order[: max(count, 0)].sort().values.to(self.frame.depth_m.device)
+
+    def draw_weighted(self, weight: Float[Tensor, " N"], count: int) -> Int[Tensor, " K"]:
+        """``count`` rows at random, without replacement, with probabilities in proportion to ``weight`` (>= 0), in
+        increasing order; rows of weight 0 are never drawn, so there may be fewer. [K]
+
+        The ``count`` smallest of E_i / w_i with E_i exponentially distributed have this distribution (Efraimidis and
+        Spirakis 2006).
+        """
+        uniform = torch.rand(len(weight), generator=self.generator, device=self.generator.device).to(weight.device)
+        key = -torch.log1p(-uniform) / weight
+        key = torch.where(weight > 0, key, torch.inf)
+        count = min(max(count, 0), int((weight > 0).sum()))
+        return key.argsort(stable=True)[:count].sort().values
+
+    def quat_from_normals(self, normal: Float[Tensor, "M 3"]) -> Float[Tensor, "M 4"]:
+        """Unit quaternions, wxyz, that turn the z axis to the normals by the smaller angle; a disc is then thin along
+        z. A normal need not have unit length; a zero one gives the identity. [M, 4]"""
+        length = normal.norm(dim=1, keepdim=True)
+        z = torch.zeros_like(normal)
+        z[:, 2] = 1.0
+        return quaternion.shortest_arc(z, torch.where(length > 0, normal / length, z))
 
     def _once(self, key: Any, make: Any) -> Any:
         if key not in self._cache:

@@ -1,8 +1,7 @@
-"""What a seeding rule may look for in the frame's picture: edges, corners, detail."""
+"""Edges, corners and detail of a picture, for ``SeedContext``."""
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -28,71 +27,6 @@ class EdgeDirection:
     coherence: Float[Tensor, "H W"]
     """(l1 - l2) / (l1 + l2) of the eigenvalues l1 >= l2 of the tensor: 1 at a straight edge, 0 where no direction
     differs from the others."""
-
-
-class ImageFeatures:
-    """The part of ``SeedContext`` that reads the picture; each result is computed once."""
-
-    frame: Frame
-
-    def grey(self) -> Float[Tensor, "H W"]:
-        """Brightness of the picture, 0..1: 0.2989 R + 0.587 G + 0.114 B. [H, W]"""
-        return self._once("grey", lambda: luma(self.frame.rgb))
-
-    def gradient(self) -> Float[Tensor, "H W"]:
-        """Length of the gradient of the brightness, per pixel (central differences; one-sided at the border). [H, W]"""
-        return self._once("gradient", lambda: gradient_length(self.grey()))
-
-    def laplacian(self) -> Float[Tensor, "H W"]:
-        """Sum over R, G, B of the absolute Laplacian (four neighbours), 0..12: the fine detail. [H, W]"""
-        return self._once("laplacian", lambda: absolute_laplacian(self.frame.rgb))
-
-    def edge_direction(self, window_px: int = 3) -> EdgeDirection:
-        """How edges run through each pixel, and how clearly, from the structure tensor of the brightness (Foerstner and
-        Guelch 1987).
-
-        Args:
-            window_px: Odd side of the square over which the tensor is averaged.
-        """
-        return self._once(("edge direction", window_px), lambda: structure_directions(self.grey(), window_px))
-
-    def edges(
-        self, low: float = 100.0, high: float = 200.0, dilate_px: int = 1, *, euclidean: bool = False
-    ) -> Bool[Tensor, "H W"]:
-        """Pixels on edges (Canny 1986, as in OpenCV).
-
-        Args:
-            low, high: Thresholds of the hysteresis, for the gradient of grey levels 0..255.
-            dilate_px: Edges are made this many pixels wide; 1 leaves them as they are.
-            euclidean: The gradient's length is the root of gx^2 + gy^2 (OpenCV's L2gradient); else |gx| + |gy|, which
-                is larger, so more edges pass the thresholds.
-
-        Returns:
-            A mask. [H, W]
-        """
-        return self._once(
-            ("edges", low, high, dilate_px, euclidean), lambda: canny(self.frame, low, high, dilate_px, euclidean)
-        )
-
-    def corners(self, count: int = 1000, method: Literal["orb", "shi_tomasi"] = "orb") -> Float[Tensor, "K 2"]:
-        """Positions of the strongest corners, continuous pixel coordinates, at centres of pixels; none in an image with
-        a side below 8 pixels. [K, 2]
-
-        Args:
-            count: At most this many.
-            method: "orb": FAST corners on eight image sizes, by their Harris score, as ORB takes them (OpenCV, about
-                6 ms at 320x240); "shi_tomasi": the smaller eigenvalue of the structure tensor, largest within 5 x 5
-                pixels (kornia, about 20 ms; on the frame's device).
-
-        Source: Rublee et al. 2011; Shi and Tomasi 1994.
-        """
-        if min(self.frame.camera.width, self.frame.camera.height) < SMALLEST_LEVEL_PX:
-            return self.frame.depth_m.new_zeros(0, 2)
-        find = orb_corners if method == "orb" else shi_tomasi_corners
-        return self._once(("corners", count, method), lambda: find(self.frame, count))
-
-    def _once(self, key: Any, make: Any) -> Any:
-        raise NotImplementedError
 
 
 def luma(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:

@@ -1,7 +1,7 @@
-"""Points, in bulk: nearest neighbours, occupied voxels, outliers, random draws, and what a rule may ask of them."""
+"""Points, in bulk: nearest neighbours, voxels, and what is known of each Gaussian of a map."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0
-from ..types import Camera, Frame, GaussianParams
+from ..types import Camera, GaussianParams
 
 _DISTANCES = 1 << 25
 """Number of distances computed at a time."""
@@ -227,99 +227,3 @@ def view_map(gaussians: Any, frame_index: int) -> MapView:
         image_gradient=image_gradient(gaussians) if hasattr(gaussians, "memory") else None,
         abs_image_gradient=abs_image_gradient(gaussians) if hasattr(gaussians, "memory") else None,
     )
-
-
-class PointQueries:
-    """The part of ``SeedContext`` that answers questions about points."""
-
-    frame: Frame
-    gaussians: Any
-    generator: torch.Generator
-
-    @property
-    def map(self) -> MapView:
-        """The Gaussians that exist before this frame."""
-        raise NotImplementedError
-
-    @property
-    def has_map(self) -> bool:
-        """Whether the map has any Gaussian; False also without a map."""
-        return self.gaussians is not None and len(self.gaussians.params) > 0
-
-    def nearest(
-        self, xyz_W: Float[Tensor, "M 3"], k: int = 3, among: Literal["new", "map", "new and map"] = "new"
-    ) -> Neighbours:
-        """The ``k`` nearest neighbours of each point; ``nearest(xyz_W).spacing_m`` is the usual size of a new Gaussian.
-
-        Args:
-            xyz_W: New points, world frame, metres. [M, 3]
-            k: Number of neighbours.
-            among: "new": the other new points; "map": the Gaussians of the map; "new and map": both.
-
-        Returns:
-            ``distance_m`` and ``row``, [M, k]. Rows count the new points first, then the map's, with "map" only the
-            map's.
-        """
-        existing = self.map.xyz_W if among != "new" and self.has_map else xyz_W[:0]
-        if among != "map":
-            return nearest_others(xyz_W, existing, k)
-        distance, row = k_nearest(xyz_W, existing, k)
-        return Neighbours(distance_m=distance, row=row.masked_fill(row == len(existing), -1))
-
-    def occupied(self, xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
-        """Whether the voxel that contains each point holds the centre of a Gaussian of the map. [M]
-
-        The voxels are those of a grid at the world's origin and are independent of the TSDF. Keeping only points in
-        voxels that are not occupied, and of those the ones of ``first_in_voxel``, gives one Gaussian a voxel in the
-        whole map, as long as the optimisation does not move them into another voxel.
-
-        Args:
-            xyz_W: Points, world frame, metres. [M, 3]
-            voxel_size_m: Edge length of a voxel, metres.
-        """
-        held = self.map.xyz_W if self.has_map else xyz_W[:0]
-        return torch.isin(voxel_keys(xyz_W, voxel_size_m), voxel_keys(held, voxel_size_m))
-
-    def first_in_voxel(self, xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
-        """True for the first of the points in each voxel. [M]"""
-        keys, group = voxel_keys(xyz_W, voxel_size_m).unique(return_inverse=True)
-        row = torch.arange(len(xyz_W), device=xyz_W.device)
-        first = torch.full_like(keys, len(xyz_W)).scatter_reduce_(0, group, row, "amin")
-        return first[group] == row
-
-    def outliers(self, xyz_W: Float[Tensor, "M 3"], k: int = 40, std_ratio: float = 2.0) -> Bool[Tensor, " M"]:
-        """Points whose mean distance to their ``k`` nearest others exceeds the mean of all points by ``std_ratio``
-        standard deviations (the statistical outlier filter, Rusu et al. 2008). With fewer points, all others are the
-        neighbours of each. [M]"""
-        k = min(k, len(xyz_W) - 1)
-        if k < 1:
-            return torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
-        mean = nearest_others(xyz_W, xyz_W[:0], k).distance_m.mean(dim=1)
-        return mean > mean.mean() + std_ratio * mean.std()
-
-    def draw(self, n: int, count: int) -> Int[Tensor, " K"]:
-        """``count`` of the numbers 0 .. n - 1 at random, without replacement, in increasing order; all if there are
-        fewer. On the frame's device. [K]"""
-        order = torch.randperm(n, generator=self.generator, device=self.generator.device)
-        return order[: max(count, 0)].sort().values.to(self.frame.depth_m.device)
-
-    def draw_weighted(self, weight: Float[Tensor, " N"], count: int) -> Int[Tensor, " K"]:
-        """``count`` rows at random, without replacement, with probabilities in proportion to ``weight`` (>= 0), in
-        increasing order; rows of weight 0 are never drawn, so there may be fewer. [K]
-
-        The ``count`` smallest of E_i / w_i with E_i exponentially distributed have this distribution (Efraimidis and
-        Spirakis 2006).
-        """
-        uniform = torch.rand(len(weight), generator=self.generator, device=self.generator.device).to(weight.device)
-        key = -torch.log1p(-uniform) / weight
-        key = torch.where(weight > 0, key, torch.inf)
-        count = min(max(count, 0), int((weight > 0).sum()))
-        return key.argsort(stable=True)[:count].sort().values
-
-    def quat_from_normals(self, normal: Float[Tensor, "M 3"]) -> Float[Tensor, "M 4"]:
-        """Unit quaternions, wxyz, that turn the z axis to the normals by the smaller angle; a disc is then thin along
-        z. A normal need not have unit length; a zero one gives the identity. [M, 4]"""
-        length = normal.norm(dim=1, keepdim=True)
-        z = torch.zeros_like(normal)
-        z[:, 2] = 1.0
-        return quaternion.shortest_arc(z, torch.where(length > 0, normal / length, z))

@@ -199,6 +199,14 @@ class MapRule(ABC):
         return None
 
 
+@dataclass(frozen=True, kw_only=True)
+class KeyframeRule(MapRule):
+    """Base of rules that are asked in keyframes. Every 5th recorded frame is one unless the settings say otherwise."""
+
+    when: ClassVar[When] = KEYFRAMES
+    overrides: ClassVar[Mapping[str, Any]] = {"keyframe_every": 5}
+
+
 SeedingRule = Callable[..., Seeds] | type[MapRule]
 """A function ``(ctx, *, option=default, ...) -> Seeds``, or a subclass of ``MapRule``."""
 Option = bool | int | float | str | Path

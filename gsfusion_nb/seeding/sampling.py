@@ -106,8 +106,8 @@ def one_pixel_seeds(
     return ctx.seeds_at(drawn_pixels(ctx, chosen, share), every_px * pixel_radius(ctx, share), opacity=opacity)
 
 
-def drawn_pixels(ctx: SeedContext, chosen: Bool[Tensor, "H W"], share: float) -> Float[Tensor, "N 2"]:
-    """Centres of the chosen pixels with depth, or of a random share of them, row by row.
+def drawn_pixels(ctx: SeedContext, chosen: Bool[Tensor, "H W"] | None, share: float) -> Float[Tensor, "N 2"]:
+    """Centres of the chosen pixels with depth (all without a choice), or of a random share of them, row by row.
 
     Raises:
         ValueError: ``share`` not in 0..1.

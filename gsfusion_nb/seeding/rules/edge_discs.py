@@ -136,7 +136,4 @@ class edge_strokes(MapRule):
     overrides: ClassVar[Mapping[str, Any]] = {"optim__lr_log_scale": 4e-3, "optim__lr_quat": 4e-3}
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
-        return edge_discs(
-            ctx, spacing_px=self.spacing_px, radius=self.radius, stretch=self.stretch,
-            colour_window=self.colour_window, opacity=self.opacity, thickness=self.thickness, coverage=self.coverage,
-        )  # fmt: skip
+        return edge_discs(ctx, **vars(self))

@@ -1,7 +1,6 @@
 """Rules for what the map does not cover, with Gaussians as large as the distance to their neighbours."""
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -13,8 +12,8 @@ from ...gaussians import Edit
 from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
-from ..rule import KEYFRAMES, MapRule, StepStats, When, every, seeding_rule
-from ..sampling import depth_error_m, in_front, pushed_back, sized_by_neighbours, thin, unmapped_pixels
+from ..rule import KeyframeRule, MapRule, StepStats, When, every, seeding_rule
+from ..sampling import depth_error_m, drawn_pixels, in_front, pushed_back, sized_by_neighbours, thin, unmapped_pixels
 
 GRADIENT_POINTS = 50_000
 PUSH_BACK = 1.005
@@ -112,7 +111,7 @@ def _start_of_submap(ctx: SeedContext, points: int) -> Bool[Tensor, "H W"]:
 
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
-class game(MapRule):
+class game(KeyframeRule):
     """GaME: in keyframes, Gaussians where the map is empty, behind or of another colour; stale ones are removed.
 
     Half of the pixels with depth where
@@ -147,9 +146,6 @@ class game(MapRule):
     min_opacity: float = 0.1
     share: float = 0.5
 
-    when: ClassVar[When] = KEYFRAMES
-    overrides: ClassVar[Mapping[str, Any]] = {"keyframe_every": 5}
-
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The Gaussians of one keyframe."""
         chosen = unmapped_pixels(ctx, self.min_alpha, self.median_factor)
@@ -157,8 +153,7 @@ class game(MapRule):
             view = ctx.render()
             over_white = view.rgb + (1 - view.alpha)[..., None]
             chosen |= (over_white - ctx.frame.rgb).abs().mean(dim=-1) > self.colour_error
-        uv = ctx.pixels(chosen)
-        uv = uv[ctx.draw(len(uv), round(self.share * len(uv)))]
+        uv = drawn_pixels(ctx, chosen, self.share)
         return sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0), "new and map", factor=0.05**0.5)
 
     def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:
@@ -175,7 +170,7 @@ class game(MapRule):
 
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
-class gs_slam(MapRule):
+class gs_slam(KeyframeRule):
     """GS-SLAM: in keyframes, Gaussians wherever the map does not cover the view, or its depth is wrong.
 
     In the first frame half of the pixels with depth, drawn at random; in later keyframes those where A < tau_T or
@@ -204,17 +199,13 @@ class gs_slam(MapRule):
     share: float = 1.0
     opacity: float = 0.5
 
-    when: ClassVar[When] = KEYFRAMES
-    overrides: ClassVar[Mapping[str, Any]] = {"keyframe_every": 5}
-
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The points of one keyframe."""
         chosen, share = None, self.share * self.first_share
         if ctx.has_map:
             chosen = (ctx.render().alpha < self.min_alpha) | (depth_error_m(ctx) > self.depth_error)
             share = self.share
-        uv = ctx.pixels(chosen)
-        seeds = ctx.seeds_at(uv[ctx.draw(len(uv), round(share * len(uv)))], 1.0, opacity=self.opacity)
+        seeds = ctx.seeds_at(drawn_pixels(ctx, chosen, share), 1.0, opacity=self.opacity)
         return sized_by_neighbours(ctx, seeds, "new and map")
 
 
@@ -243,8 +234,8 @@ class cg_slam(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The points of one mapped frame."""
-        uv = ctx.pixels(ctx.render().alpha < self.min_alpha if ctx.has_map else None)
-        uv = uv[ctx.draw(len(uv), round(self.share * len(uv)))]
+        chosen = ctx.render().alpha < self.min_alpha if ctx.has_map else None
+        uv = drawn_pixels(ctx, chosen, self.share)
         return sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0), "new and map")
 
 

@@ -2,14 +2,14 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import torch
 
 from ...geometry import quaternion, se3
 from ...types import Seeds
 from ..context import SeedContext
-from ..rule import EVERY_FRAME, MapRule, When, seeding_rule
+from ..rule import MapRule, seeding_rule
 from ..sampling import MIN_SPACING_M
 
 PRESETS = {"replica": (10, 5e-4, 0.7), "tum": (5, 1e-3, 0.81)}
@@ -49,8 +49,6 @@ class gs_icp(MapRule):
     keyframe_frames: int = 30
     neighbours: int = 20
     squared: bool = True
-
-    when: ClassVar[When] = EVERY_FRAME
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """All grid points, or none."""

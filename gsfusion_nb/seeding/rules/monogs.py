@@ -10,8 +10,8 @@ from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
 from ..points import restart_statistics
-from ..rule import KEYFRAMES, MapRule, StepStats, When, seeding_rule
-from ..sampling import as_discs, sized_by_neighbours
+from ..rule import KEYFRAMES, KeyframeRule, MapRule, StepStats, When, seeding_rule
+from ..sampling import as_discs, drawn_pixels, sized_by_neighbours
 
 PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
 """Share of a keyframe's pixels; point size."""
@@ -20,7 +20,7 @@ FIRST_SHARE, MAX_POINT_SIZE, MIN_COLOUR_SUM = 1 / 32, 0.05, 0.01
 
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
-class monogs(MapRule):
+class monogs(KeyframeRule):
     """MonoGS: in keyframes, a small random share of all pixels, whatever is mapped.
 
     1/64 of the pixels with depth, in the first frame 1/32. Round Gaussians of standard deviation sqrt(d^2 p): d^2 is
@@ -40,9 +40,6 @@ class monogs(MapRule):
 
     preset: Literal["replica", "tum"] = "replica"
     density: float = 1.0
-
-    when: ClassVar[When] = KEYFRAMES
-    overrides: ClassVar[Mapping[str, Any]] = {"keyframe_every": 5}
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The points of one keyframe."""
@@ -148,7 +145,7 @@ class monogs_like(MapRule):
 
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
-class photo_slam(MapRule):
+class photo_slam(KeyframeRule):
     """Photo-SLAM: in keyframes, a Gaussian for each ORB corner with depth, whatever is mapped.
 
     Round Gaussians as large as the root mean square distance to their 3 nearest neighbours among the new ones; opacity
@@ -169,9 +166,6 @@ class photo_slam(MapRule):
     corners: int = 1000
     max_depth_m: float = 0.0
 
-    when: ClassVar[When] = KEYFRAMES
-    overrides: ClassVar[Mapping[str, Any]] = {"keyframe_every": 5}
-
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The corners of one keyframe."""
         uv = ctx.corners(self.corners)
@@ -187,7 +181,7 @@ MAX_OF_MEAN = 3.0
 
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
-class two_dgs_slam(MapRule):
+class two_dgs_slam(KeyframeRule):
     """2DGS-SLAM: in keyframes, discs for random pixels in voxels of 5 cm that hold no Gaussian yet.
 
     A random 10 % of the pixels with depth (0.1 to 10 m), of those the ones in voxels of 5 cm that hold no Gaussian of
@@ -216,13 +210,10 @@ class two_dgs_slam(MapRule):
     thickness: float = 0.1
     as_released: bool = True
 
-    when: ClassVar[When] = KEYFRAMES
-    overrides: ClassVar[Mapping[str, Any]] = {"keyframe_every": 5}
-
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The discs of one keyframe."""
-        uv = ctx.pixels((ctx.frame.depth_m >= MIN_DEPTH_M) & (ctx.frame.depth_m <= MAX_DEPTH_M))
-        uv = uv[ctx.draw(len(uv), round(self.share * len(uv)))]
+        near = (ctx.frame.depth_m >= MIN_DEPTH_M) & (ctx.frame.depth_m <= MAX_DEPTH_M)
+        uv = drawn_pixels(ctx, near, self.share)
         opacity = float(torch.tensor(OPACITY).sigmoid()) if self.as_released else OPACITY
         seeds = ctx.seeds_at(uv, 1.0, opacity=opacity)
         free = ~ctx.occupied(seeds.xyz_W, self.voxel_size_m)

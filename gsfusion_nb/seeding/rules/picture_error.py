@@ -1,9 +1,8 @@
 """Rules that draw pixels with a probability given by the difference of frame and map's picture."""
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -16,7 +15,7 @@ from ...render import render
 from ...types import Seeds
 from ..context import SeedContext
 from ..image_features import absolute_laplacian, disc_blur, halved
-from ..rule import KEYFRAMES, MapRule, StepStats, When, seeding_rule
+from ..rule import KeyframeRule, MapRule, StepStats, seeding_rule
 from ..sampling import sized_by_neighbours
 
 OPACITY, MIN_OPACITY, PRUNE_EVERY = 0.1, 0.005, 100
@@ -79,7 +78,7 @@ FAR = 1e-8
 
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
-class on_the_fly_nvs(MapRule):
+class on_the_fly_nvs(KeyframeRule):
     """On-the-fly NVS: in keyframes, random pixels where the map's picture lacks detail of the frame.
 
     Each pixel with depth is seeded with the probability P(image) - P(map's picture), where
@@ -107,9 +106,6 @@ class on_the_fly_nvs(MapRule):
     density: float = 1.0
     opacity: float = 0.07
     drop_hidden: bool = True
-
-    when: ClassVar[When] = KEYFRAMES
-    overrides: ClassVar[Mapping[str, Any]] = {"keyframe_every": 5}
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The points of one keyframe."""

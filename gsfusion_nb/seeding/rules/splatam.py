@@ -13,7 +13,7 @@ from ...geometry.spherical_harmonics import SH_C0
 from ...render import render_forward
 from ...types import Seeds
 from ..context import SeedContext
-from ..rule import EVERY_FRAME, MapRule, StepStats, When, seeding_rule
+from ..rule import MapRule, StepStats, seeding_rule
 from ..sampling import (
     as_discs,
     depth_error_m,
@@ -98,7 +98,6 @@ class splatam_like(MapRule):
     max_extent: float = 0.1
     radius_share: float = 1 / 3
 
-    when: ClassVar[When] = EVERY_FRAME
     overrides: ClassVar[Mapping[str, Any]] = {
         "sh_degree": 0,
         "keyframe_every": 5,
@@ -232,7 +231,6 @@ class vtgaussian(MapRule):
     share: float = 1.0
     median_of: Literal["all", "measured"] = "all"
 
-    when: ClassVar[When] = EVERY_FRAME
     overrides: ClassVar[Mapping[str, Any]] = {"optim__lr_xyz": 0.0, "optim__lr_quat": 0.0}
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
