@@ -68,12 +68,8 @@ def check_quadtree(rgb_u8: Any, *, threshold: float = 0.1, min_cell_px: int = 1,
     check_operand("rgb_u8", rgb_u8, ("H", "W", 3), dtypes=(torch.uint8,))
     if rgb_u8.numel() == 0:
         raise ValueError(f"rgb_u8 must have at least one pixel, got {list(rgb_u8.shape)}")
-    check_number("threshold", threshold)
-    if not threshold >= 0:
-        raise ValueError(f"threshold must be >= 0, got {threshold}")
-    check_number("min_cell_px", min_cell_px)
-    if min_cell_px < 1:
-        raise ValueError(f"min_cell_px must be >= 1, got {min_cell_px}")
+    check_number("threshold", threshold, 0)
+    check_number("min_cell_px", min_cell_px, 1)
     if contrast not in ("released", "std"):
         raise ValueError(f"contrast must be 'released' or 'std', got {contrast!r}")
 

@@ -163,10 +163,9 @@ class Code:
         x = getattr(x, "__func__", getattr(x, "__wrapped__", x))  # methods, decorated and cached functions
         if isinstance(x, torch.Tensor | np.ndarray):
             self._text(f"{x.dtype} {tuple(x.shape)}")
-            bits = (
-                x.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy() if isinstance(x, torch.Tensor) else x
-            )
-            self.hash.update(np.ascontiguousarray(bits).tobytes())
+            if isinstance(x, torch.Tensor):
+                x = x.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy()
+            self.hash.update(np.ascontiguousarray(x).tobytes())
         elif isinstance(x, Mapping):
             for key in sorted(x, key=repr):
                 self.add(key)
@@ -320,12 +319,8 @@ def _load(source: str, name: str, file: str) -> types.ModuleType:
     module = types.ModuleType(name)
     module.__file__ = file_name = f"<{Path(file).name} {name[-16:]}>"
     module.__dict__["__rule_source__"] = source
-    linecache.cache[file_name] = (
-        len(source),
-        None,
-        source.splitlines(keepends=True),
-        file_name,
-    )  # for its source in reports
+    lines = source.splitlines(keepends=True)
+    linecache.cache[file_name] = (len(source), None, lines, file_name)  # for its source in reports
     sys.modules[name] = module  # dataclasses look there
     try:
         with keep_registered() as before:
@@ -333,8 +328,8 @@ def _load(source: str, name: str, file: str) -> types.ModuleType:
             own = [rule_name(rule) for key, rule in registered().items() if before.get(key) is not rule]
     except Exception as e:
         del sys.modules[name]
-        lines = [frame.lineno for frame in traceback.extract_tb(e.__traceback__) if frame.filename == file_name]
-        line = e.lineno if isinstance(e, SyntaxError) else (lines[-1] if lines else None)
+        at = [frame.lineno for frame in traceback.extract_tb(e.__traceback__) if frame.filename == file_name]
+        line = e.lineno if isinstance(e, SyntaxError) else (at[-1] if at else None)
         where = file if line is None else f"{file}, line {line}"
         raise ValueError(f"{where}: {type(e).__name__}: {getattr(e, 'msg', e)}") from None
     functions = [k for k, v in vars(module).items() if isinstance(v, types.FunctionType) and v.__module__ == name]

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ...backends import piece
-from ...geometry import backproject, pixel_grid, quaternion, se3
+from ...geometry import pixel_grid, quaternion
 from ...render import SurfaceView
 from ...types import Seeds
 from ..context import SeedContext
@@ -85,7 +85,7 @@ def rtg_slam(
     shares = {NEW_AREA: share} | dict.fromkeys(
         (DEPTH_ERROR, COLOUR_ERROR), ERROR_SHARE if fidelity == "code" else share
     )
-    drawn = {kind: draw_share(mask, shares[kind], ctx.generator) for kind, mask in kinds.items()}
+    drawn = {kind: draw_share(ctx, mask, shares[kind]) for kind, mask in kinds.items()}
     pixel = torch.cat(list(drawn.values()))
     tag = torch.cat([torch.full_like(p, kind) for kind, p in drawn.items()])
     seeds = discs_at(ctx, pixel, tag)
@@ -151,31 +151,20 @@ def adding_masks(
     return surface, colour
 
 
-def draw_share(mask: Bool[Tensor, "H W"], share: float, generator: torch.Generator) -> Int[Tensor, " M"]:
+def draw_share(ctx: SeedContext, mask: Bool[Tensor, "H W"], share: float) -> Int[Tensor, " M"]:
     """Indices into the flat image of a random share of the pixels, without replacement, in image order."""
     pixel = mask.flatten().nonzero().squeeze(1)
-    n = round(share * len(pixel))
-    order = torch.randperm(len(pixel), generator=generator, device=generator.device)[:n]
-    return pixel[order.sort().values.to(pixel.device)]
+    return pixel[ctx.draw(len(pixel), round(share * len(pixel)))]
 
 
 def discs_at(ctx: SeedContext, pixel: Int[Tensor, " M"], tag: Int[Tensor, " M"]) -> Seeds:
     """Opaque discs on the measured surface, their thin axis z along the normal, with sizes still to be set."""
-    depth_m = ctx.frame.depth_m.flatten()[pixel]
-    uv = pixel_grid(ctx.camera, device=depth_m.device).view(-1, 2)[pixel]
-    xyz_W = se3.apply(ctx.frame.T_WC, backproject(ctx.camera, uv.to(depth_m), depth_m))
+    uv = pixel_grid(ctx.camera, device=pixel.device).view(-1, 2)[pixel]
     normal_W = ctx.normals_W().reshape(-1, 3)[pixel]
     z = torch.zeros_like(normal_W)
     z[:, 2] = 1.0
-    M = len(pixel)
-    return Seeds(
-        xyz_W=xyz_W,
-        rgb=ctx.frame.rgb.view(-1, 3)[pixel],
-        scale_m=torch.ones_like(xyz_W),
-        quat=quaternion.shortest_arc(z, normal_W),
-        opacity=depth_m.new_full((M,), OPAQUE_OPACITY),
-        tag=tag.to(torch.int32),
-    )
+    seeds = ctx.seeds_at(uv, 1.0, opacity=OPAQUE_OPACITY, tag=tag)
+    return dataclasses.replace(seeds, quat=quaternion.shortest_arc(z, normal_W))
 
 
 def sized(
