@@ -205,28 +205,28 @@ class ToySystem(Mapper):
 CHAPTER = '''
 """Exercises of a toy chapter."""
 
-from .exercise import Attempt, Wrong, close, exercise
+from .exercise import Attempt, Wrong, exercise
 
 
 @exercise(chapter=12, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
           wrong=(Wrong(lambda x: x, says="twice"),))
 def toy_exercise(attempt: Attempt) -> None:
     """Twice a number."""
-    close(attempt.on("3")(3), 6, "the result is twice the number", on="3")
+    attempt.close(attempt.on("3")(3), 6, "the result is twice the number")
 '''
 
 OWN_EXERCISE = '''
 """Exercises for a test, whose function runs in the library."""
 
 from .learner_operation import Becomes
-from .exercise import Attempt, Wrong, close, exercise
+from .exercise import Attempt, Wrong, exercise
 
 
 @exercise(chapter=12, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
           wrong=(Wrong(lambda x: x, says="twice"),), becomes=Becomes("toy_piece", lambda yours, x: yours(x)))
 def toy_own(attempt: Attempt) -> None:
     """Twice a number."""
-    close(attempt.on("3")(3), 6, "the result is twice the number", on="3")
+    attempt.close(attempt.on("3")(3), 6, "the result is twice the number")
 '''
 
 PIECE = '''

@@ -10,14 +10,13 @@ other learning platforms import, and ``answers.md``.
 
 import argparse
 import ast
-import inspect
 import logging
 import random
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 from itertools import groupby
 from pathlib import Path
@@ -37,14 +36,33 @@ INTRODUCTION = (
 )
 
 
-@dataclass
-class Judged:
-    """What a judge found in one function."""
+class Judged(Attempt):
+    """An attempt at which a statement that fails is noted, and the judge goes on."""
 
-    broken: list[Failed] = field(default_factory=list)
-    """Properties that failed, the first one first."""
-    held: list[str] = field(default_factory=list)
-    """Properties that were tested."""
+    def __init__(self, function: Callable[..., Any]):
+        super().__init__(function)
+        self.broken: list[Failed] = []
+        """Properties that failed, the first one first."""
+        self.held: list[str] = []
+        """Properties that were tested."""
+
+    def holds(self, condition: Any, prop: str, **more: Any) -> None:
+        """Note the property, and whether it fails."""
+        with self._noting(prop):
+            super().holds(condition, prop, **more)
+
+    def close(self, got: Any, expected: Any, prop: str, **more: Any) -> None:
+        """Note the property, and whether it fails."""
+        with self._noting(prop):
+            super().close(got, expected, prop, **more)
+
+    @contextmanager
+    def _noting(self, prop: str) -> Iterator[None]:
+        self.held.append(prop)
+        try:
+            yield
+        except Failed as e:
+            self.broken.append(e)
 
 
 def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged:
@@ -53,40 +71,17 @@ def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged
     Raises:
         ValueError: no property fails, so the function is no wrong answer.
     """
-    found = Judged()
-    with _collecting(inspect.unwrap(exercise.judge).__globals__, found):
-        try:
-            exercise.judge(Attempt(function))
-        except Failed as e:
-            found.broken.append(e)
-        except Exception:
-            if not found.broken:
-                raise
+    found = Judged(function)
+    try:
+        exercise.judge(found)
+    except Failed as e:
+        found.broken.append(e)
+    except Exception:
+        if not found.broken:
+            raise
     if not found.broken:
         raise ValueError(f"{exercise.name}: {function.__name__} passes, so it is no wrong answer")
     return found
-
-
-@contextmanager
-def _collecting(module: dict[str, Any], found: Judged) -> Iterator[None]:
-    """Within the block, the statements of a chapter's judges note a failure and go on."""
-
-    def noting(statement: Callable[..., None], position: int) -> Callable[..., None]:
-        def noted(*args: Any, **kwargs: Any) -> None:
-            found.held.append(kwargs["prop"] if "prop" in kwargs else args[position])
-            try:
-                statement(*args, **kwargs)
-            except Failed as e:
-                found.broken.append(e)
-
-        return noted
-
-    original = {name: (module[name], at) for name, at in (("close", 2), ("holds", 1)) if name in module}
-    module.update({name: noting(*statement) for name, statement in original.items()})
-    try:
-        yield
-    finally:
-        module.update({name: statement for name, (statement, _) in original.items()})
 
 
 NOT_OFFERED: dict[str, tuple[str, ...]] = {

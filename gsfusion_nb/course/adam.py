@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 Step = tuple[Tensor, Tensor, Tensor]
 
@@ -84,38 +84,32 @@ def adam(attempt: Attempt) -> None:
     names, f64 = ("param", "m", "v"), torch.float64
     rest = (0.01, 0.9, 0.999, 1e-15)
     zero, g = torch.zeros(2, 1, dtype=f64), torch.tensor([[2.0], [-0.5]], dtype=f64)
-    on = "gradients 2 and -0.5 at the first step, lr = 0.01"
-    param, m, v = unpack(attempt.on(on)(zero, g, zero, zero, 1, *rest), names, on=on)
-    close(
-        m,
-        0.1 * g,
-        "m averages the gradient: a new value counts 1 - beta1",
-        on=on,
-        why="returned without the correction",
+    attempt.on("gradients 2 and -0.5 at the first step, lr = 0.01")
+    param, m, v = attempt.unpack(attempt(zero, g, zero, zero, 1, *rest), names)
+    attempt.close(
+        m, 0.1 * g, "m averages the gradient: a new value counts 1 - beta1", why="returned without the correction"
     )
-    close(v, 0.001 * g**2, "v averages the squared gradient, without the correction", on=on)
+    attempt.close(v, 0.001 * g**2, "v averages the squared gradient, without the correction")
     direction = torch.as_tensor(param).sign()
-    close(direction, [[-1.0], [1.0]], "a positive gradient makes the parameter smaller", on=on)
+    attempt.close(direction, [[-1.0], [1.0]], "a positive gradient makes the parameter smaller")
     why = "m_hat / sqrt(v_hat) is the sign of the gradient at t = 1"
-    close(param, [[-0.01], [0.01]], "the first step is one learning rate, however large the gradient", on=on, why=why)
-    on = "random numbers at step 7, lr = 0.05"
+    attempt.close(param, [[-0.01], [0.01]], "the first step is one learning rate, however large the gradient", why=why)
     generator = torch.Generator().manual_seed(4)
     param, g, m = (torch.randn(5, 3, generator=generator, dtype=f64) for _ in range(3))
     v, lr = torch.rand(5, 3, generator=generator, dtype=f64), torch.tensor([0.1, 0.2, 0.3], dtype=f64)
     given = (param, g, m, v)
-    got = unpack(attempt.on(on)(*given, 7, 0.05, 0.9, 0.99, 1e-15), names, on=on)
+    got = attempt.unpack(attempt.on("random numbers at step 7, lr = 0.05")(*given, 7, 0.05, 0.9, 0.99, 1e-15), names)
     expected = _adam(*given, 7, 0.05, 0.9, 0.99, 1e-15)
-    close(got[1], expected[1], "m averages the gradient: the old m counts beta1", on=on)
-    close(got[2], expected[2], "v averages the squared gradient: the old v counts beta2", on=on)
+    attempt.close(got[1], expected[1], "m averages the gradient: the old m counts beta1")
+    attempt.close(got[2], expected[2], "v averages the squared gradient: the old v counts beta2")
     corrected = "the step is lr m_hat / sqrt(v_hat), with m_hat = m / (1 - beta1^t) and v_hat = v / (1 - beta2^t)"
-    close(got[0], expected[0], corrected, on=on)
-    on = "the same with eps = 0.1"
-    got = unpack(attempt.on(on)(*given, 7, 0.05, 0.9, 0.99, 0.1), names, on=on)
-    close(got[0], _adam(*given, 7, 0.05, 0.9, 0.99, 0.1)[0], "eps is added to the root of v_hat", on=on)
-    on = "the same with a learning rate for each column"
-    got = unpack(attempt.on(on)(*given, 7, lr, 0.9, 0.99, 0.1), names, on=on)
-    close(got[0], _adam(*given, 7, lr, 0.9, 0.99, 0.1)[0], "lr may be a tensor, one for each column", on=on)
-    on = "the same with t = infinity: no correction"
-    got = unpack(attempt.on(on)(*given, math.inf, lr, 0.9, 0.999, 0.1), names, on=on)
+    attempt.close(got[0], expected[0], corrected)
+    got = attempt.unpack(attempt.on("the same with eps = 0.1")(*given, 7, 0.05, 0.9, 0.99, 0.1), names)
+    attempt.close(got[0], _adam(*given, 7, 0.05, 0.9, 0.99, 0.1)[0], "eps is added to the root of v_hat")
+    attempt.on("the same with a learning rate for each column")
+    got = attempt.unpack(attempt(*given, 7, lr, 0.9, 0.99, 0.1), names)
+    attempt.close(got[0], _adam(*given, 7, lr, 0.9, 0.99, 0.1)[0], "lr may be a tensor, one for each column")
+    attempt.on("the same with t = infinity: no correction")
+    got = attempt.unpack(attempt(*given, math.inf, lr, 0.9, 0.999, 0.1), names)
     expected = _adam(*given, math.inf, lr, 0.9, 0.999, 0.1)
-    close(got[0], expected[0], "for t = infinity nothing is corrected", on=on)
+    attempt.close(got[0], expected[0], "for t = infinity nothing is corrected")

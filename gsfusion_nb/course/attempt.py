@@ -78,6 +78,43 @@ class Attempt:
             raise NotWritten
         return result
 
+    def holds(self, condition: Any, prop: str, *, detail: str) -> None:
+        """``prop`` fails, with ``detail``, unless ``condition`` is true."""
+        if not bool(condition):
+            raise Failed(prop, self.words, detail)
+
+    def close(
+        self, got: Any, expected: Any, prop: str, *, tolerance: float = 1e-5, why: str = "", names: Sequence[str] = ()
+    ) -> None:
+        """``prop`` fails unless ``got`` has the shape and the values of ``expected``.
+
+        Args:
+            got: What the student returned: a number, a sequence, an array or a tensor.
+            expected: The right answer.
+            prop: A statement that is true of a right answer: "the depth is the point's z".
+            tolerance: Largest deviation, in units of max(1, size of the value).
+            why: What a deviation usually means; ends the message.
+            names: Of the values, where ``got`` is a list that the judge made from parts of an answer.
+        """
+        on = self.words
+        right, mine = as_tensor(expected), _numbers(got, prop, on)
+        if mine.shape != right.shape:
+            raise Failed(prop, on, f"the shape is {list(mine.shape)}, expected {list(right.shape)}")
+        if not torch.isfinite(mine).eq(torch.isfinite(right)).all():
+            raise Failed(prop, on, "a value is NaN or infinite")
+        off = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(min=1.0)
+        if off.numel() and float(off.max()) > 0:
+            at = int(off.argmax())
+            place = f" for {names[at]}" if names else f" at {_position(at, right.shape)}" if right.ndim else ""
+            detail = f"got {_short(mine.reshape(-1)[at])}{place}, expected {_short(right.reshape(-1)[at])}"
+            raise Failed(prop, on, f"{detail}{': ' if why[0].islower() else '. '}{why}" if why else detail)
+
+    def unpack(self, value: Any, names: Sequence[str]) -> tuple[Any, ...]:
+        """The parts of a returned tuple, one for each name; fails unless there are exactly that many."""
+        if not isinstance(value, (tuple, list)) or len(value) != len(names):
+            raise Failed(f"it returns {', '.join(names)}", self.words, f"it returned {describe([value])}")
+        return tuple(value)
+
     @property
     def watched(self) -> Callable[..., Any]:
         """The function with its signature, for a check that calls it itself."""
@@ -96,46 +133,6 @@ def _same(before: Any, after: Any) -> bool:
     if isinstance(before, np.ndarray):
         return np.array_equal(before, after, equal_nan=True)
     return before == after if isinstance(before, (list, dict, Camera)) else True
-
-
-def holds(condition: Any, prop: str, *, on: str, detail: str) -> None:
-    """``prop`` fails, with ``detail``, unless ``condition`` is true."""
-    if not bool(condition):
-        raise Failed(prop, on, detail)
-
-
-def close(
-    got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-5, why: str = "", names: Sequence[str] = ()
-) -> None:
-    """``prop`` fails unless ``got`` has the shape and, within ``tolerance`` x max(1, size), the values of ``expected``.
-
-    Args:
-        got: What the student returned: a number, a sequence, an array or a tensor.
-        expected: The right answer.
-        prop: A statement that is true of a right answer: "the depth is the point's z".
-        on: The input, in words.
-        tolerance: Largest deviation.
-        why: What a deviation usually means; ends the message.
-        names: Of the values, where ``got`` is a list that the judge made from parts of an answer.
-    """
-    right, mine = as_tensor(expected), _numbers(got, prop, on)
-    if mine.shape != right.shape:
-        raise Failed(prop, on, f"the shape is {list(mine.shape)}, expected {list(right.shape)}")
-    if not torch.isfinite(mine).eq(torch.isfinite(right)).all():
-        raise Failed(prop, on, "a value is NaN or infinite")
-    off = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(min=1.0)
-    if off.numel() and float(off.max()) > 0:
-        at = int(off.argmax())
-        place = f" for {names[at]}" if names else f" at {_position(at, right.shape)}" if right.ndim else ""
-        detail = f"got {_short(mine.reshape(-1)[at])}{place}, expected {_short(right.reshape(-1)[at])}"
-        raise Failed(prop, on, f"{detail}{': ' if why[0].islower() else '. '}{why}" if why else detail)
-
-
-def unpack(value: Any, names: Sequence[str], *, on: str) -> tuple[Any, ...]:
-    """The parts of a returned tuple, one for each name; fails unless there are exactly that many."""
-    if not isinstance(value, (tuple, list)) or len(value) != len(names):
-        raise Failed(f"it returns {', '.join(names)}", on, f"it returned {describe([value])}")
-    return tuple(value)
 
 
 def as_rows(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+from .exercise import Attempt, Wrong, exercise
 
 
 def _speedup(seconds: dict[str, float], stage: str, factor: float) -> float:
@@ -26,27 +26,21 @@ def _speedup_of_the_stage(seconds: dict[str, float], stage: str, factor: float) 
 )  # fmt: skip
 def overall_speedup(attempt: Attempt) -> None:
     """Speed-up of a whole frame when one stage gets faster (Amdahl)."""
-    on = "one stage alone, 4 times as fast"
-    close(
-        attempt.on(on)({"optimise": 0.2}, "optimise", 4.0),
-        4.0,
-        "with one stage, the whole frame gains as much as the stage",
-        on=on,
+    attempt.on("one stage alone, 4 times as fast")
+    attempt.close(
+        attempt({"optimise": 0.2}, "optimise", 4.0), 4.0, "with one stage, the whole frame gains as much as the stage"
     )
-    on = "50 ms optimise and 50 ms tsdf; optimise 5 times as fast"
+    attempt.on("50 ms optimise and 50 ms tsdf; optimise 5 times as fast")
     seconds = {"optimise": 0.05, "tsdf": 0.05}
-    close(attempt.on(on)(dict(seconds), "optimise", 5.0), 100 / 60, "the other stages take as long as before", on=on,
-          why="10 ms + 50 ms are left of 100 ms")  # fmt: skip
-    on = "the same, a million times as fast"
-    close(
-        attempt.on(on)(dict(seconds), "optimise", 1e6),
-        2.0,
-        "the other stages limit the speed-up",
-        on=on,
-        tolerance=1e-4,
+    attempt.close(
+        attempt(dict(seconds), "optimise", 5.0),
+        100 / 60,
+        "the other stages take as long as before",
+        why="10 ms + 50 ms are left of 100 ms",
     )
-    on = "a factor of 1"
-    close(attempt.on(on)(dict(seconds), "tsdf", 1.0), 1.0, "no change, no gain", on=on)
+    attempt.on("the same, a million times as fast")
+    attempt.close(attempt(dict(seconds), "optimise", 1e6), 2.0, "the other stages limit the speed-up", tolerance=1e-4)
+    attempt.close(attempt.on("a factor of 1")(dict(seconds), "tsdf", 1.0), 1.0, "no change, no gain")
 
 
 def _attainable(intensity: float, peak_gflops: float, gb_per_s: float) -> float:
@@ -69,14 +63,13 @@ def _attainable_peak(intensity: float, peak_gflops: float, gb_per_s: float) -> f
 )  # fmt: skip
 def attainable_gflops(attempt: Attempt) -> None:
     """The roofline of a kernel: the most Gflop/s that it can reach."""
-    on = "0.5 flop per byte, 100 Gflop/s, 10 GB/s"
-    close(attempt.on(on)(0.5, 100.0, 10.0), 5.0, "memory limits a kernel of low intensity", on=on)
-    on = "50 flop per byte on the same machine"
-    close(attempt.on(on)(50.0, 100.0, 10.0), 100.0, "arithmetic limits a kernel of high intensity", on=on)
-    on = "3 flop per byte, 30 Gflop/s, 8 GB/s"
-    close(attempt.on(on)(3.0, 30.0, 8.0), 24.0, "every machine has its own limits: intensity x bandwidth here", on=on)
-    on = "the ridge, 10 flop per byte"
-    close(attempt.on(on)(10.0, 100.0, 10.0), 100.0, "at the ridge both limits agree", on=on)
+    attempt.on("0.5 flop per byte, 100 Gflop/s, 10 GB/s")
+    attempt.close(attempt(0.5, 100.0, 10.0), 5.0, "memory limits a kernel of low intensity")
+    attempt.on("50 flop per byte on the same machine")
+    attempt.close(attempt(50.0, 100.0, 10.0), 100.0, "arithmetic limits a kernel of high intensity")
+    attempt.on("3 flop per byte, 30 Gflop/s, 8 GB/s")
+    attempt.close(attempt(3.0, 30.0, 8.0), 24.0, "every machine has its own limits: intensity x bandwidth here")
+    attempt.close(attempt.on("the ridge, 10 flop per byte")(10.0, 100.0, 10.0), 100.0, "at the ridge both limits agree")
 
 
 def _adam_traffic(n: int) -> tuple[int, float]:
@@ -111,16 +104,14 @@ def _adam_per_map(n: int) -> tuple[int, float]:
 def adam_traffic(attempt: Attempt) -> None:
     """Bytes that one step of Adam moves for n float32 numbers, and its intensity at 12 flop per number."""
     names = ("bytes", "intensity")
-    on = "one number"
-    moved, intensity = unpack(attempt.on(on)(1), names, on=on)
-    holds(float(moved) != 7, "a float32 has 4 bytes", on=on, detail="7 is how many numbers move, not how many bytes")
+    moved, intensity = attempt.unpack(attempt.on("one number")(1), names)
+    attempt.holds(float(moved) != 7, "a float32 has 4 bytes", detail="7 is how many numbers move, not how many bytes")
     prop = "four arrays are read, three are written: writing moves bytes, too"
-    close([moved], [28], prop, on=on, names=names[:1])
-    close(intensity, 12 / 28, "intensity is flop per byte", on=on, tolerance=1e-3)
-    on = "59 numbers for each of 10,000 Gaussians"
-    moved, intensity = unpack(attempt.on(on)(590_000), names, on=on)
-    close(moved, 28 * 590_000, "twice the numbers, twice the bytes", on=on)
-    close(intensity, 12 / 28, "the intensity does not depend on the size", on=on, tolerance=1e-3)
+    attempt.close([moved], [28], prop, names=names[:1])
+    attempt.close(intensity, 12 / 28, "intensity is flop per byte", tolerance=1e-3)
+    moved, intensity = attempt.unpack(attempt.on("59 numbers for each of 10,000 Gaussians")(590_000), names)
+    attempt.close(moved, 28 * 590_000, "twice the numbers, twice the bytes")
+    attempt.close(intensity, 12 / 28, "the intensity does not depend on the size", tolerance=1e-3)
 
 
 def _average_loop(D, W, d, max_weight):
@@ -192,27 +183,22 @@ def average_loop(attempt: Attempt) -> None:
 
     def update(on: str, D: list[float], W: list[float], d: list[float], cap: float) -> tuple:
         given = (np.array(v, np.float32) for v in (D, W, d))
-        return unpack(attempt.on(on)(*given, cap), names, on=on)
+        return attempt.unpack(attempt.on(on)(*given, cap), names)
 
-    on = "D = 0.5 after 3 observations, and d = 0.1"
-    D, W = update(on, [0.5], [3.0], [0.1], 100.0)
-    close(D, [0.4], "the mean of all observations", on=on)
-    close(W, [4.0], "one observation more", on=on)
-    on = "d = -1.5 (far behind) and d = NaN (no depth)"
-    D, W = update(on, [0.5, 0.5], [3.0, 3.0], [-1.5, float("nan")], 100.0)
-    close(D, [0.5, 0.5], "a voxel far behind the surface, or without depth, does not change", on=on)
-    close(W, [3.0, 3.0], "a voxel far behind the surface, or without depth, was not observed", on=on)
-    on = "d = -0.5, just behind the surface"
-    D, W = update(on, [0.5], [1.0], [-0.5], 100.0)
-    close(D, [0.0], "a voxel behind the surface, inside the band, is observed", on=on)
-    close(W, [2.0], "a voxel behind the surface, inside the band, is observed", on=on)
+    D, W = update("D = 0.5 after 3 observations, and d = 0.1", [0.5], [3.0], [0.1], 100.0)
+    attempt.close(D, [0.4], "the mean of all observations")
+    attempt.close(W, [4.0], "one observation more")
+    D, W = update("d = -1.5 (far behind) and d = NaN (no depth)", [0.5, 0.5], [3.0, 3.0], [-1.5, float("nan")], 100.0)
+    attempt.close(D, [0.5, 0.5], "a voxel far behind the surface, or without depth, does not change")
+    attempt.close(W, [3.0, 3.0], "a voxel far behind the surface, or without depth, was not observed")
+    D, W = update("d = -0.5, just behind the surface", [0.5], [1.0], [-0.5], 100.0)
+    attempt.close(D, [0.0], "a voxel behind the surface, inside the band, is observed")
+    attempt.close(W, [2.0], "a voxel behind the surface, inside the band, is observed")
     on = "d = 7, free space far in front of the surface"
-    close(update(on, [0.5], [1.0], [7.0], 100.0)[0], [0.75], "d counts as at most 1", on=on)
-    on = "W = 4 with max_weight 4, D = 0.2, and d = 1"
-    D, W = update(on, [0.2], [4.0], [1.0], 4.0)
-    close(W, [4.0], "the weight stops at max_weight", on=on)
-    close(D, [0.4], "at max_weight a new observation counts 1 / max_weight", on=on)
-    on = "three voxels at once"
-    D, W = update(on, [0.5, 0.0, -0.5], [1.0, 0.0, 9.0], [0.1, 0.3, 0.5], 100.0)
-    close(W, [2.0, 1.0, 10.0], "every voxel has its own weight", on=on)
-    close(D, [0.3, 0.3, -0.4], "every voxel has its own mean", on=on)
+    attempt.close(update(on, [0.5], [1.0], [7.0], 100.0)[0], [0.75], "d counts as at most 1")
+    D, W = update("W = 4 with max_weight 4, D = 0.2, and d = 1", [0.2], [4.0], [1.0], 4.0)
+    attempt.close(W, [4.0], "the weight stops at max_weight")
+    attempt.close(D, [0.4], "at max_weight a new observation counts 1 / max_weight")
+    D, W = update("three voxels at once", [0.5, 0.0, -0.5], [1.0, 0.0, 9.0], [0.1, 0.3, 0.5], 100.0)
+    attempt.close(W, [2.0, 1.0, 10.0], "every voxel has its own weight")
+    attempt.close(D, [0.3, 0.3, -0.4], "every voxel has its own mean")

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from .exercise import Attempt, Failed, Wrong, close, exercise, holds
+from .exercise import Attempt, Failed, Wrong, exercise
 
 Leaf = tuple[int, int, int, int]
 
@@ -74,41 +74,47 @@ def _budget_overshooting(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
 )  # fmt: skip
 def budget_cells(attempt: Attempt) -> None:
     """A quadtree with a given number of cells, placed where they reduce the error most."""
-    on = "an image of two halves, black and white, and 4 cells"
     halves = torch.zeros(16, 16, 3, dtype=torch.uint8)
     halves[:, 8:] = 255
-    cells = _cells(attempt.on(on)(halves, 4), 16, 16, on)
-    holds(len(cells) <= 4, "there are at most n_cells cells", on=on, detail=f"there are {len(cells)}")
-    close(len(cells), 4, "one split gives four cells", on=on)
-    on = "a plain wall with a small bright pattern, 37 x 29, and 40 cells"
+    cells = _cells(attempt, attempt.on("an image of two halves, black and white, and 4 cells")(halves, 4), 16, 16)
+    attempt.holds(len(cells) <= 4, "there are at most n_cells cells", detail=f"there are {len(cells)}")
+    attempt.close(len(cells), 4, "one split gives four cells")
+    attempt.on("a plain wall with a small bright pattern, 37 x 29, and 40 cells")
     image = _busy_corner()
-    cells = _cells(attempt.on(on)(image, 40), 37, 29, on)
-    holds(len(cells) <= 40, "there are at most n_cells cells", on=on, detail=f"there are {len(cells)}")
-    holds(
-        len(cells) >= 37, "the budget is used: three more cells would be too many", on=on, detail=f"{len(cells)} cells"
+    cells = _cells(attempt, attempt(image, 40), 37, 29)
+    attempt.holds(len(cells) <= 40, "there are at most n_cells cells", detail=f"there are {len(cells)}")
+    attempt.holds(
+        len(cells) >= 37, "the budget is used: three more cells would be too many", detail=f"{len(cells)} cells"
     )
     error = _squared_error_of(image)
     got, best = (sum(error(*c) for c in some) for some in (cells, _budget_cells(image, 40)))
-    holds(got <= 1.02 * best, "the cell with the largest sum of errors is split next", on=on,
-          detail=f"the remaining squared error is {got / best:.2f} times as large as it could be")  # fmt: skip
-    on = "a strip of 8 x 1 pixels, and 7 cells"
+    attempt.holds(
+        got <= 1.02 * best,
+        "the cell with the largest sum of errors is split next",
+        detail=f"the remaining squared error is {got / best:.2f} times as large as it could be",
+    )
     strip = torch.arange(0, 240, 10, dtype=torch.uint8).reshape(1, 8, 3)
     detail = "a cell lower than 2 pixels is a leaf, whatever its error"
-    cells = _cells(attempt.on(on)(strip, 7), 8, 1, on, detail)
-    holds(len(cells) == 1, "a cell narrower or lower than 2 pixels is not split", on=on, detail=f"{len(cells)} cells")
+    cells = _cells(attempt, attempt.on("a strip of 8 x 1 pixels, and 7 cells")(strip, 7), 8, 1, detail)
+    attempt.holds(len(cells) == 1, "a cell narrower or lower than 2 pixels is not split", detail=f"{len(cells)} cells")
 
 
-def _cells(value: object, width: int, height: int, on: str, why: str = "") -> list[Leaf]:
+def _cells(attempt: Attempt, value: object, width: int, height: int, why: str = "") -> list[Leaf]:
     """The student's cells, which must tile the image."""
     try:
         cells = [(int(x), int(y), int(w), int(h)) for x, y, w, h in value]  # pyright: ignore
     except (TypeError, ValueError):
-        raise Failed("it returns a list of (x0, y0, width, height)", on, f"it returned {value!r:.80}") from None
+        raise Failed(
+            "it returns a list of (x0, y0, width, height)", attempt.words, f"it returned {value!r:.80}"
+        ) from None
     hits = torch.zeros(height, width, dtype=torch.int64)
     for x, y, w, h in cells:
         hits[y : y + h, x : x + w] += 1
-    holds((hits == 1).all() and all(w > 0 and h > 0 for *_, w, h in cells), "the cells tile the image", on=on,
-          detail=f"{int((hits != 1).sum())} pixels are in no cell or in several{why and f': {why}'}")  # fmt: skip
+    attempt.holds(
+        (hits == 1).all() and all(w > 0 and h > 0 for *_, w, h in cells),
+        "the cells tile the image",
+        detail=f"{int((hits != 1).sum())} pixels are in no cell or in several{why and f': {why}'}",
+    )
     return cells
 
 

@@ -21,13 +21,13 @@ In ``course/<chapter>.py`` (found automatically, nothing to register elsewhere):
     )
     def lift_pixel(attempt: Attempt) -> None:               # the name of the exercise
         \"\"\"Lift a pixel with its depth to a point.\"\"\"      # its title
-        on = "a corner pixel at 2 m"
-        point = attempt.on(on)(camera, uv, depth_m)          # copies tensors, catches errors and unwritten bodies
-        close(point, expected, "the depth is the point's z", on=on)
+        attempt.on("a corner pixel at 2 m")
+        point = attempt(camera, uv, depth_m)                # copies tensors, catches errors and unwritten bodies
+        attempt.close(point, expected, "the depth is the point's z")
 
-The judge returns nothing and raises ``Failed`` (through ``close``, ``holds``, ``unpack``) at the first property that
-does not hold; put the property that explains most mistakes first. Tests run every judge on its solution, which must
-pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
+The judge returns nothing and raises ``Failed`` (through ``close``, ``holds`` and ``unpack`` of the attempt) at the
+first property that does not hold; put the property that explains most mistakes first. Tests run every judge on its
+solution, which must pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
 
 A judged function runs with a limit of time (``learner_code.py``).
 
@@ -50,9 +50,6 @@ from ..backends import use_backend
 from .attempt import Attempt as Attempt
 from .attempt import Failed as Failed
 from .attempt import NotWritten, Verdict, describe
-from .attempt import close as close
-from .attempt import holds as holds
-from .attempt import unpack as unpack
 from .learner_code import keep_source, with_reference
 from .learner_operation import Becomes as Becomes
 from .learner_operation import Yours as Yours

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..geometry import depth_to_points, se3
 from ..types import Camera
-from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+from .exercise import Attempt, Wrong, exercise
 
 _CAMERA = Camera(width=8, height=6, fx=10.0, fy=5.0, cx=4.0, cy=3.0)
 
@@ -51,21 +51,17 @@ def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
 )  # fmt: skip
 def project_points(attempt: Attempt) -> None:
     """Project camera-frame points to pixels (Eq. 4)."""
-    on = "a point on the optical axis, 2 m away"
-    uv = attempt.on(on)(_CAMERA, torch.tensor([[0.0, 0.0, 2.0]]))
-    close(uv, [[4.0, 3.0]], "the optical axis meets the image at the principal point (cx, cy)", on=on)
-    on = "points (0.2, 0, 1) and (0.2, 0, 2)"
-    uv = attempt.on(on)(_CAMERA, torch.tensor([[0.2, 0.0, 1.0], [0.2, 0.0, 2.0]]))
-    close(uv, [[6.0, 3.0], [5.0, 3.0]], "a point twice as far lands half as far from the principal point", on=on)
-    on = "a point 0.4 m below the axis, 2 m away"
-    uv = attempt.on(on)(_CAMERA, torch.tensor([[0.0, 0.4, 2.0]]))
+    uv = attempt.on("a point on the optical axis, 2 m away")(_CAMERA, torch.tensor([[0.0, 0.0, 2.0]]))
+    attempt.close(uv, [[4.0, 3.0]], "the optical axis meets the image at the principal point (cx, cy)")
+    uv = attempt.on("points (0.2, 0, 1) and (0.2, 0, 2)")(_CAMERA, torch.tensor([[0.2, 0.0, 1.0], [0.2, 0.0, 2.0]]))
+    attempt.close(uv, [[6.0, 3.0], [5.0, 3.0]], "a point twice as far lands half as far from the principal point")
+    uv = attempt.on("a point 0.4 m below the axis, 2 m away")(_CAMERA, torch.tensor([[0.0, 0.4, 2.0]]))
     v = float(torch.as_tensor(uv).reshape(-1)[-1])
     down = "y points down, in the camera's frame and in the image"
-    holds(v > 3, down, on=on, detail=f"v is {v:.5g}, but below the middle row 3 it is larger")
-    close(uv, [[4.0, 4.0]], "u takes fx and v takes fy: they may differ", on=on)
-    on = "a point that projects between pixel centres"
-    uv = attempt.on(on)(_CAMERA, torch.tensor([[0.03, 0.01, 1.0]]))
-    close(uv, [[4.3, 3.05]], "pixel coordinates are continuous: a point may fall between centres", on=on)
+    attempt.holds(v > 3, down, detail=f"v is {v:.5g}, but below the middle row 3 it is larger")
+    attempt.close(uv, [[4.0, 4.0]], "u takes fx and v takes fy: they may differ")
+    uv = attempt.on("a point that projects between pixel centres")(_CAMERA, torch.tensor([[0.03, 0.01, 1.0]]))
+    attempt.close(uv, [[4.3, 3.05]], "pixel coordinates are continuous: a point may fall between centres")
 
 
 def _lift(camera: Camera, uv: Tensor, depth_m: Tensor) -> Tensor:
@@ -97,10 +93,9 @@ def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> 
 )  # fmt: skip
 def lift_pixels(attempt: Attempt) -> None:
     """Lift pixels with depth to camera-frame points (Eq. 10)."""
-    on = "a corner pixel at depth 2 m"
     uv, depth = torch.tensor([[7.5, 5.5]]), torch.tensor([2.0])
-    point = attempt.on(on)(_CAMERA, uv, depth)
-    close(_last(point), [2.0], "the depth is z, not the distance to the camera", on=on)
+    point = attempt.on("a corner pixel at depth 2 m")(_CAMERA, uv, depth)
+    attempt.close(_last(point), [2.0], "the depth is z, not the distance to the camera")
     for where, pixel, expected, prop in (
         (
             "the pixel at the principal point",
@@ -111,14 +106,12 @@ def lift_pixels(attempt: Attempt) -> None:
         ("a pixel to the right of it", [7.5, 3.0], [0.7, 0.0, 2.0], "x = (u - cx) / fx, times the depth"),
         ("a pixel below it", [4.0, 5.5], [0.0, 1.0, 2.0], "y = (v - cy) / fy, times the depth: fx and fy may differ"),
     ):
-        on = f"{where}, at depth 2 m"
-        close(attempt.on(on)(_CAMERA, torch.tensor([pixel]), depth), [expected], prop, on=on)
-    on = "many pixels, lifted and projected again"
+        attempt.close(attempt.on(f"{where}, at depth 2 m")(_CAMERA, torch.tensor([pixel]), depth), [expected], prop)
     generator = torch.Generator().manual_seed(0)
     uv = torch.rand(50, 2, generator=generator) * torch.tensor([8.0, 6.0])
     depth = 0.5 + torch.rand(50, generator=generator)
-    back = _project(_CAMERA, torch.as_tensor(attempt.on(on)(_CAMERA, uv, depth)))
-    close(back, uv, "projecting the point gives the pixel back", on=on, tolerance=1e-4)
+    back = _project(_CAMERA, torch.as_tensor(attempt.on("many pixels, lifted and projected again")(_CAMERA, uv, depth)))
+    attempt.close(back, uv, "projecting the point gives the pixel back", tolerance=1e-4)
 
 
 def _invert(T: Tensor) -> Tensor:
@@ -152,21 +145,19 @@ def _invert_by_transposing(T: Tensor) -> Tensor:
 )  # fmt: skip
 def invert_pose(attempt: Attempt) -> None:
     """Turn T_WC into T_CW without a general matrix inverse."""
-    on = "the identity"
-    close(attempt.on(on)(torch.eye(4)), torch.eye(4), "the inverse of the identity is the identity", on=on)
-    on = "a quarter turn about z and a step of (1, 2, 3) m"
+    attempt.close(attempt.on("the identity")(torch.eye(4)), torch.eye(4), "the inverse of the identity is the identity")
     T = torch.eye(4)
     T[:2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
     T[:3, 3] = torch.tensor([1.0, 2.0, 3.0])
-    T_CW = torch.as_tensor(attempt.on(on)(T))
-    close(T_CW.shape, [4, 4], "the result is a 4 x 4 matrix", on=on)
-    close(T_CW[3], [0.0, 0.0, 0.0, 1.0], "the last row of a pose is 0 0 0 1", on=on)
-    close(T_CW[:3, :3], T[:3, :3].T, "the transpose undoes the rotation", on=on)
+    T_CW = torch.as_tensor(attempt.on("a quarter turn about z and a step of (1, 2, 3) m")(T))
+    attempt.close(T_CW.shape, [4, 4], "the result is a 4 x 4 matrix")
+    attempt.close(T_CW[3], [0.0, 0.0, 0.0, 1.0], "the last row of a pose is 0 0 0 1")
+    attempt.close(T_CW[:3, :3], T[:3, :3].T, "the transpose undoes the rotation")
     centre = T_CW @ torch.tensor([1.0, 2.0, 3.0, 1.0])
-    close(centre[:3], [0.0, 0.0, 0.0], "the camera's centre lands at the origin of the camera's frame", on=on)
-    on = "a pose in general position"
+    attempt.close(centre[:3], [0.0, 0.0, 0.0], "the camera's centre lands at the origin of the camera's frame")
+    attempt.on("a pose in general position")
     T = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.4, -0.7, 0.2]))
-    close(torch.as_tensor(attempt.on(on)(T)) @ T, torch.eye(4), "T_CW T_WC is the identity", on=on, tolerance=1e-4)
+    attempt.close(torch.as_tensor(attempt(T)) @ T, torch.eye(4), "T_CW T_WC is the identity", tolerance=1e-4)
 
 
 def _normals(points: Tensor) -> Tensor:
@@ -200,24 +191,25 @@ def _normals_not_unit(points: Tensor) -> Tensor:
 )  # fmt: skip
 def normals_of_points(attempt: Attempt) -> None:
     """Normals of an image of points, by central differences."""
-    on = "a wall at z = 2 m, seen straight on"
     points = depth_to_points(_CAMERA, torch.full((6, 8), 2.0))
-    n = attempt.on(on)(points)
-    close(torch.as_tensor(n).shape, [4, 6, 3], "the border has no normal: the result is [H - 2, W - 2, 3]", on=on)
+    n = attempt.on("a wall at z = 2 m, seen straight on")(points)
+    attempt.close(torch.as_tensor(n).shape, [4, 6, 3], "the border has no normal: the result is [H - 2, W - 2, 3]")
     n = torch.as_tensor(n)
-    close(n.norm(dim=-1), torch.ones(4, 6), "a normal has length 1", on=on, tolerance=1e-4)
-    holds((n[..., 2] < 0).all(), "the normal faces the camera: its z is negative", on=on,
-          detail=f"z of the normal is {float(n[..., 2].max()):.3g}")  # fmt: skip
-    on = "a floor 1 m below the camera"
+    attempt.close(n.norm(dim=-1), torch.ones(4, 6), "a normal has length 1", tolerance=1e-4)
+    attempt.holds(
+        (n[..., 2] < 0).all(),
+        "the normal faces the camera: its z is negative",
+        detail=f"z of the normal is {float(n[..., 2].max()):.3g}",
+    )
+    attempt.on("a floor 1 m below the camera")
     uv = torch.stack(torch.meshgrid(torch.arange(8) + 0.5, torch.arange(6) + 0.5, indexing="xy"), dim=-1)
     camera = Camera(width=8, height=6, fx=10.0, fy=5.0, cx=4.0, cy=-3.0)
     floor = depth_to_points(camera, camera.fy / (uv[..., 1] - camera.cy))
     up = torch.tensor([0.0, -1.0, 0.0]).expand(4, 6, 3)
-    close(attempt.on(on)(floor), up, "the floor's normal points up, to negative y", on=on, tolerance=1e-4)
-    on = "a curved surface"
+    attempt.close(attempt(floor), up, "the floor's normal points up, to negative y", tolerance=1e-4)
     bowl = depth_to_points(_CAMERA, 2 - 0.3 * (uv[..., 0] - 3) ** 2 / 16 - 0.2 * (uv[..., 1] - 2) ** 2 / 9)
     prop = "central differences: from the left to the right neighbour, and from the upper to the lower one"
-    close(attempt.on(on)(bowl), _normals(bowl), prop, on=on, tolerance=1e-4)
+    attempt.close(attempt.on("a curved surface")(bowl), _normals(bowl), prop, tolerance=1e-4)
 
 
 def _halve(fx: float, fy: float, cx: float, cy: float) -> tuple[float, float, float, float]:
@@ -245,21 +237,21 @@ def _halve_the_centre_alone(fx: float, fy: float, cx: float, cy: float) -> tuple
 )  # fmt: skip
 def halve_intrinsics(attempt: Attempt) -> None:
     """Intrinsics of the half-size image, for a data set that counts pixels from the centre of the first one."""
-    on = "640 x 480 with fx = fy = 600, centre (319.5, 239.5)"
+    attempt.on("640 x 480 with fx = fy = 600, centre (319.5, 239.5)")
     names = ("fx", "fy", "cx", "cy")
-    fx, fy, cx, cy = unpack(attempt.on(on)(600.0, 600.0, 319.5, 239.5), names, on=on)
+    fx, fy, cx, cy = attempt.unpack(attempt(600.0, 600.0, 319.5, 239.5), names)
     prop = "half the pixels over the same angle of view: half the focal length"
-    close([fx, fy], [300.0, 300.0], prop, on=on, names=names[:2])
+    attempt.close([fx, fy], [300.0, 300.0], prop, names=names[:2])
     shift = max(abs(float(cx) - 159.5), abs(float(cy) - 119.5))
     why = f"a shift of {shift:.2f} px of the small image"
-    close([cx, cy], [159.5, 119.5], "the middle of the image stays the middle", on=on, why=why, names=names[2:])
-    on = "a point off the axis, projected at both sizes"
-    half = unpack(attempt.on(on)(525.0, 520.0, 310.2, 251.7), names, on=on)
+    attempt.close([cx, cy], [159.5, 119.5], "the middle of the image stays the middle", why=why, names=names[2:])
+    attempt.on("a point off the axis, projected at both sizes")
+    half = attempt.unpack(attempt(525.0, 520.0, 310.2, 251.7), names)
     x, y = 0.3, -0.2
     full = (525.0 * x + 310.2 + 0.5, 520.0 * y + 251.7 + 0.5)
     small = (half[0] * x + half[2] + 0.5, half[1] * y + half[3] + 0.5)
     prop = "measured from the image's edge, the point is half as far"
-    close(small, [f / 2 for f in full], prop, on=on, tolerance=1e-6)
+    attempt.close(small, [f / 2 for f in full], prop, tolerance=1e-6)
 
 
 def _last(point: object) -> Tensor:

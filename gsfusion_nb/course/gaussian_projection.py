@@ -7,7 +7,7 @@ from ..geometry import quaternion, se3
 from ..render.constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ..render.project import Projection, ProjectionGradient
 from ..types import Camera, GaussianParams
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 Ellipse = tuple[Tensor, Tensor, Tensor]
 
@@ -125,40 +125,39 @@ def project_gaussian(attempt: Attempt) -> None:
     ball, upright = torch.full((3,), 0.1, dtype=f64).log(), torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=f64)
 
     def ask(on: str, T_CW: Tensor, *row: Tensor) -> Ellipse:
-        return unpack(attempt.on(on)(_CAMERA, T_CW, *row), _NAMES, on=on)
+        return attempt.unpack(attempt.on(on)(_CAMERA, T_CW, *row), _NAMES)
 
     moved = eye.clone()
     moved[:3, 3] = torch.tensor([0.0, 0.0, 1.0])
     on = "a ball of 10 cm at z = 2 m, seen from 1 m behind the world's origin"
     uv, conic, depth_m = ask(on, moved, ahead, ball, upright)
-    close(depth_m, 3.0, "T_CW takes world coordinates to the camera's", on=on)
-    close(uv, [41.0, 29.0], "straight ahead is the principal point", on=on)
-    on = "the same ball from the origin"
-    _, conic, _ = ask(on, eye, ahead, ball, upright)
+    attempt.close(depth_m, 3.0, "T_CW takes world coordinates to the camera's")
+    attempt.close(uv, [41.0, 29.0], "straight ahead is the principal point")
+    _, conic, _ = ask("the same ball from the origin", eye, ahead, ball, upright)
     expected = _project(_CAMERA, eye, ahead, ball, upright)[1]
     A = float(torch.as_tensor(conic).reshape(-1)[0])
     why = f"cov is 9.3 px^2, and its inverse {1 / 9.3:.3g}"
     if abs(A - 9.3) < 1e-3:
-        close(conic, expected, "the conic is the inverse of the covariance", on=on, why=why)
-    close(conic, expected, "the conic of J W R S S^T R^T W^T J^T + 0.3 I, with S = diag(exp(log_scale))", on=on,
-          why=why)  # fmt: skip
+        attempt.close(conic, expected, "the conic is the inverse of the covariance", why=why)
+    attempt.close(
+        conic, expected, "the conic of J W R S S^T R^T W^T J^T + 0.3 I, with S = diag(exp(log_scale))", why=why
+    )
     needle, tilted = torch.tensor([0.3, 0.05, 0.02], dtype=f64).log(), torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64)
     turned = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.3, -0.4, 0.8], dtype=f64))
-    on = "a tilted needle before a turned camera"
-    uv, conic, depth_m = ask(on, turned, ahead, needle, tilted)
+    uv, conic, depth_m = ask("a tilted needle before a turned camera", turned, ahead, needle, tilted)
     expected = _project(_CAMERA, turned, ahead, needle, tilted)
-    close(uv, expected[0], "u = fx x/z + cx, v = fy y/z + cy", on=on)
-    close(conic, expected[1], "the ellipse turns with the camera: M = J W R S", on=on)
+    attempt.close(uv, expected[0], "u = fx x/z + cx, v = fy y/z + cy")
+    attempt.close(conic, expected[1], "the ellipse turns with the camera: M = J W R S")
     on = "a needle far outside the picture, x/z = 2.5"
     aside = torch.tensor([2.5, 0.2, 1.0], dtype=f64)
     _, conic, _ = ask(on, eye, aside, needle, tilted)
     expected = _project(_CAMERA, eye, aside, needle, tilted)
-    close(conic, expected[1], "far outside the picture, J is that of 1.3 times the half angle of view", on=on)
-    close(ask(on, eye, aside, needle, tilted)[0], expected[0], "only J is limited, not the centre", on=on)
+    attempt.close(conic, expected[1], "far outside the picture, J is that of 1.3 times the half angle of view")
+    attempt.close(ask(on, eye, aside, needle, tilted)[0], expected[0], "only J is limited, not the centre")
     on = "a needle far above the picture, y/z = -1.9"
     above = torch.tensor([0.2, -2.5, 1.3], dtype=f64)
     expected = _project(_CAMERA, eye, above, needle, tilted)
-    close(ask(on, eye, above, needle, tilted)[1], expected[1], "y/z is limited in J, too: 1.3 height / (2 fy)", on=on)
+    attempt.close(ask(on, eye, above, needle, tilted)[1], expected[1], "y/z is limited in J, too: 1.3 height / (2 fy)")
 
 
 def _project_vjp(camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_m) -> Ellipse:
@@ -241,29 +240,24 @@ def project_gaussian_vjp(attempt: Attempt) -> None:
     v_depth_m = torch.tensor(0.5, dtype=f64)
 
     def both(on: str, xyz_W: Tensor, *v: Tensor) -> tuple[tuple, tuple]:
-        got = unpack(attempt.on(on)(_CAMERA, turned, xyz_W, needle, tilted, *v), names, on=on)
+        got = attempt.unpack(attempt.on(on)(_CAMERA, turned, xyz_W, needle, tilted, *v), names)
         leaves = [x.clone().requires_grad_() for x in (xyz_W, needle, tilted)]
         outputs = _project(_CAMERA, turned, *leaves)
         loss = torch.stack([(a * b).sum() for a, b in zip(outputs, v, strict=True)]).sum()
         right = torch.autograd.grad(loss, leaves, allow_unused=True)
         return got, tuple(torch.zeros_like(x) if r is None else r for x, r in zip(leaves, right, strict=True))
 
-    on = "only the centre counts: dL/dconic = 0, dL/ddepth = 0"
-    got, right = both(on, ahead, v_uv, 0 * v_conic, 0 * v_depth_m)
-    close(got[0], right[0], "the gradient of the centre goes back to the world: W^T v_xyz_C", on=on)
-    on = "only the depth counts: dL/duv = 0, dL/dconic = 0"
-    got, right = both(on, ahead, 0 * v_uv, 0 * v_conic, v_depth_m)
-    close(got[0], right[0], "v_depth_m belongs to z", on=on)
-    on = "only the shape counts: dL/duv = 0, dL/ddepth = 0"
-    got, right = both(on, ahead, 0 * v_uv, v_conic, 0 * v_depth_m)
-    close(got[1], right[1], "v_log_scale agrees with autograd", on=on)
-    close(got[2], right[2], "v_quat agrees with autograd", on=on)
-    close(got[0], right[0], "J moves with the centre, so the shape has a gradient by it", on=on)
-    on = "everything, and a Gaussian far outside the picture"
+    got, right = both("only the centre counts: dL/dconic = 0, dL/ddepth = 0", ahead, v_uv, 0 * v_conic, 0 * v_depth_m)
+    attempt.close(got[0], right[0], "the gradient of the centre goes back to the world: W^T v_xyz_C")
+    got, right = both("only the depth counts: dL/duv = 0, dL/dconic = 0", ahead, 0 * v_uv, 0 * v_conic, v_depth_m)
+    attempt.close(got[0], right[0], "v_depth_m belongs to z")
+    got, right = both("only the shape counts: dL/duv = 0, dL/ddepth = 0", ahead, 0 * v_uv, v_conic, 0 * v_depth_m)
+    attempt.close(got[1], right[1], "v_log_scale agrees with autograd")
+    attempt.close(got[2], right[2], "v_quat agrees with autograd")
+    attempt.close(got[0], right[0], "J moves with the centre, so the shape has a gradient by it")
     aside = se3.apply(se3.inverse(turned), torch.tensor([2.5, 0.2, 1.0], dtype=f64))
-    got, right = both(on, aside, v_uv, v_conic, v_depth_m)
-    close(got[0], right[0], "where x/z is limited in J, x has no gradient through J", on=on)
-    on = "a Gaussian far above the picture, 1.3 m ahead"
+    got, right = both("everything, and a Gaussian far outside the picture", aside, v_uv, v_conic, v_depth_m)
+    attempt.close(got[0], right[0], "where x/z is limited in J, x has no gradient through J")
     above = se3.apply(se3.inverse(turned), torch.tensor([0.2, -2.5, 1.3], dtype=f64))
-    got, right = both(on, above, v_uv, v_conic, v_depth_m)
-    close(got[0], right[0], "where y/z is limited in J, y has no gradient through J", on=on)
+    got, right = both("a Gaussian far above the picture, 1.3 m ahead", above, v_uv, v_conic, v_depth_m)
+    attempt.close(got[0], right[0], "where y/z is limited in J, y has no gradient through J")

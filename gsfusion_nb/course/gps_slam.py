@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 F64 = torch.float64
 
@@ -70,23 +70,21 @@ def weights_over(attempt: Attempt) -> None:
         return attempt.on(on)(torch.tensor(alpha, dtype=F64), torch.tensor(z, dtype=F64), D_s, eps)
 
     on = "alpha 0.6 at 3 m, the surface at 2 m, eps 0.25 m"
-    close(ask(on, [0.6], [3.0], D_s), [0.0], "a Gaussian is hidden behind the surface", on=on, why="3 > 2 + 0.25")
+    attempt.close(ask(on, [0.6], [3.0], D_s), [0.0], "a Gaussian is hidden behind the surface", why="3 > 2 + 0.25")
     on = "alpha 0.6 at 2.1 m and 0.3 at 2.25 m, the surface at 2 m, eps 0.25 m"
     prop = "up to eps behind the surface a Gaussian still counts, and the weight is alpha"
-    close(ask(on, [0.6, 0.3], [2.1, 2.25], D_s), [0.6, 0.3], prop, on=on, why="hidden is z > D_s + eps only")
+    attempt.close(ask(on, [0.6, 0.3], [2.1, 2.25], D_s), [0.6, 0.3], prop, why="hidden is z > D_s + eps only")
     on = "alpha 0.6 at 0.5 m, the surface at 2 m, eps 0.25 m"
-    close(ask(on, [0.6], [0.5], D_s), [0.6], "in front of the surface nothing is hidden", on=on)
+    attempt.close(ask(on, [0.6], [0.5], D_s), [0.6], "in front of the surface nothing is hidden")
     on = "alpha 0.6 at 3 m, no surface (D_s = 0), eps 0.25 m"
     prop = "without a surface nothing is hidden"
-    close(ask(on, [0.6], [3.0], D_s * 0), [0.6], prop, on=on, why="D_s = 0 says that none is known")
-    on = "no Gaussian"
-    close(ask(on, [], [], D_s), torch.zeros(0), "no Gaussians have no weights", on=on)
-    on = "nine random Gaussians, the surface at 2 m, eps 0.25 m"
+    attempt.close(ask(on, [0.6], [3.0], D_s * 0), [0.6], prop, why="D_s = 0 says that none is known")
+    attempt.close(ask("no Gaussian", [], [], D_s), torch.zeros(0), "no Gaussians have no weights")
     generator = torch.Generator().manual_seed(6)
     alpha, z = (torch.rand(9, generator=generator, dtype=F64) for _ in range(2))
     expected = _weights_over(alpha, 1.5 + 1.5 * z, D_s, eps)
-    w = attempt.on(on)(alpha, 1.5 + 1.5 * z, D_s, eps)
-    close(w, expected, "w_i is alpha_i, and 0 where z_i > D_s + eps", on=on)
+    w = attempt.on("nine random Gaussians, the surface at 2 m, eps 0.25 m")(alpha, 1.5 + 1.5 * z, D_s, eps)
+    attempt.close(w, expected, "w_i is alpha_i, and 0 where z_i > D_s + eps")
 
 
 def _blend_over(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
@@ -152,34 +150,32 @@ def blend_over(attempt: Attempt) -> None:
     """Blend the Gaussians of one pixel with the surface below them, in any order."""
     names = ("colour", "sum of the weights")
     grey, red, green = torch.full((3,), 0.4, dtype=F64), [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
-    on = "no Gaussian over grey 0.4"
-    C, W = unpack(attempt.on(on)(torch.zeros(0, dtype=F64), torch.zeros(0, 3, dtype=F64), grey), names, on=on)
-    close(C, grey, "without Gaussians the pixel is the surface", on=on, why="the surface has the weight 1")
-    close(W, 0.0, "without Gaussians the pixel is the surface", on=on, why="W sums the Gaussians only")
-    on = "one Gaussian of weight 0.6, as grey as the surface, 0.4"
-    C, W = unpack(attempt.on(on)(torch.tensor([0.6], dtype=F64), grey[None], grey), names, on=on)
-    close(C, grey, "a mean, not a sum: equal colours stay as they are", on=on, why="divide by all weights, 1 + W")
-    on = "red and green, both of weight 0.5, over grey 0.4"
+    attempt.on("no Gaussian over grey 0.4")
+    C, W = attempt.unpack(attempt(torch.zeros(0, dtype=F64), torch.zeros(0, 3, dtype=F64), grey), names)
+    attempt.close(C, grey, "without Gaussians the pixel is the surface", why="the surface has the weight 1")
+    attempt.close(W, 0.0, "without Gaussians the pixel is the surface", why="W sums the Gaussians only")
+    attempt.on("one Gaussian of weight 0.6, as grey as the surface, 0.4")
+    C, W = attempt.unpack(attempt(torch.tensor([0.6], dtype=F64), grey[None], grey), names)
+    attempt.close(C, grey, "a mean, not a sum: equal colours stay as they are", why="divide by all weights, 1 + W")
     w, c = torch.tensor([0.5, 0.5], dtype=F64), torch.tensor([red, green], dtype=F64)
-    C, W = unpack(attempt.on(on)(w, c, grey), names, on=on)
+    C, W = attempt.unpack(attempt.on("red and green, both of weight 0.5, over grey 0.4")(w, c, grey), names)
     r, g = (float(x) for x in torch.as_tensor(C)[:2])
     prop, detail = "there is no order: equal weights count equally", f"red is {r:.3g} and green {g:.3g}"
-    holds(abs(r - g) < 1e-6, prop, on=on, detail=detail)
+    attempt.holds(abs(r - g) < 1e-6, prop, detail=detail)
     prop = "the surface keeps its weight 1, whatever lies over it"
-    close(C, [0.45, 0.45, 0.2], prop, on=on, why="(0.4 + 0.5) / 2 for red and green, 0.4 / 2 for blue")
-    close(W, 1.0, "W is the sum of the Gaussians' weights", on=on)
-    on = "five black Gaussians of weight 0.9 over grey 0.4"
-    C, W = unpack(attempt.on(on)(torch.full((5,), 0.9, dtype=F64), torch.zeros(5, 3, dtype=F64), grey), names, on=on)
+    attempt.close(C, [0.45, 0.45, 0.2], prop, why="(0.4 + 0.5) / 2 for red and green, 0.4 / 2 for blue")
+    attempt.close(W, 1.0, "W is the sum of the Gaussians' weights")
+    attempt.on("five black Gaussians of weight 0.9 over grey 0.4")
+    C, W = attempt.unpack(attempt(torch.full((5,), 0.9, dtype=F64), torch.zeros(5, 3, dtype=F64), grey), names)
     prop = "W may be larger than 1"
-    close(C, grey / 5.5, prop, on=on, why="0.4 / (1 + 4.5)")
-    close(W, 4.5, prop, on=on)
-    on = "seven random Gaussians"
+    attempt.close(C, grey / 5.5, prop, why="0.4 / (1 + 4.5)")
+    attempt.close(W, 4.5, prop)
     generator = torch.Generator().manual_seed(5)
     w, c = torch.rand(7, generator=generator, dtype=F64), torch.rand(7, 3, generator=generator, dtype=F64)
-    C, W = unpack(attempt.on(on)(w, c, grey), names, on=on)
+    C, W = attempt.unpack(attempt.on("seven random Gaussians")(w, c, grey), names)
     expected, total = _blend_over(w, c, grey)
-    close(C, expected, "C = (C_s + sum of w_i c_i) / (1 + W)", on=on)
-    close(W, total, "W is the sum of the Gaussians' weights", on=on)
+    attempt.close(C, expected, "C = (C_s + sum of w_i c_i) / (1 + W)")
+    attempt.close(W, total, "W is the sum of the Gaussians' weights")
 
 
 def _blend_over_vjp(w: Tensor, c: Tensor, C: Tensor, v_C: Tensor) -> tuple[Tensor, Tensor]:
@@ -246,29 +242,28 @@ def _as_blend_with_base_vjp(yours: Yours, w: Tensor, c: Tensor, C: Tensor, b: Te
 def blend_over_vjp(attempt: Attempt) -> None:
     """Gradient of the blending with a surface: from dL/dC to dL/dw and dL/dc."""
     names = ("v_w", "v_c")
-    on = "one white Gaussian of weight 1 over black, dL/dC = (1, 0, 0)"
+    attempt.on("one white Gaussian of weight 1 over black, dL/dC = (1, 0, 0)")
     w, c, C = torch.ones(1, dtype=F64), torch.ones(1, 3, dtype=F64), torch.full((3,), 0.5, dtype=F64)
-    v_w, v_c = unpack(attempt.on(on)(w, c, C, torch.tensor([1.0, 0.0, 0.0], dtype=F64)), names, on=on)
-    close(v_c, [[0.5, 0.0, 0.0]], "q = v_C / (1 + W)", on=on, why="1 / (1 + 1), times the weight 1")
+    v_w, v_c = attempt.unpack(attempt(w, c, C, torch.tensor([1.0, 0.0, 0.0], dtype=F64)), names)
+    attempt.close(v_c, [[0.5, 0.0, 0.0]], "q = v_C / (1 + W)", why="1 / (1 + 1), times the weight 1")
     prop = "more weight pulls the pixel towards the Gaussian's colour"
-    close(torch.as_tensor(v_w).sign(), [1.0], prop, on=on, why="white is brighter than the pixel")
-    on = "a Gaussian with exactly the colour of the pixel"
+    attempt.close(torch.as_tensor(v_w).sign(), [1.0], prop, why="white is brighter than the pixel")
+    attempt.on("a Gaussian with exactly the colour of the pixel")
     own = torch.tensor([0.2, 0.5, 0.7], dtype=F64)
-    v_w, _ = unpack(attempt.on(on)(w * 0.7, own[None].clone(), own, torch.ones(3, dtype=F64)), names, on=on)
+    v_w, _ = attempt.unpack(attempt(w * 0.7, own[None].clone(), own, torch.ones(3, dtype=F64)), names)
     prop = "the divisor grows with w, too: the pixel's own colour changes nothing"
-    close(v_w, [0.0], prop, on=on, why="c - C is 0")
-    on = "two Gaussians of weight 0.2 and 0.8, dL/dC = (1, 1, 1)"
+    attempt.close(v_w, [0.0], prop, why="c - C is 0")
+    attempt.on("two Gaussians of weight 0.2 and 0.8, dL/dC = (1, 1, 1)")
     w, c = torch.tensor([0.2, 0.8], dtype=F64), torch.tensor([[0.9, 0.1, 0.5], [0.3, 0.6, 0.0]], dtype=F64)
     C = _blend_over(w, c, torch.full((3,), 0.4, dtype=F64))[0]
-    v_w, v_c = unpack(attempt.on(on)(w, c, C, torch.ones(3, dtype=F64)), names, on=on)
+    v_w, v_c = attempt.unpack(attempt(w, c, C, torch.ones(3, dtype=F64)), names)
     expected_w, expected_c = _blend_over_vjp(w, c, C, torch.ones(3, dtype=F64))
-    close(v_c, expected_c, "a colour counts with its weight", on=on, why="w_i q")
-    close(v_w, expected_w, "all three channels pull at a weight", on=on, why="sum over the channels of q (c_i - C)")
-    on = "nine random Gaussians"
+    attempt.close(v_c, expected_c, "a colour counts with its weight", why="w_i q")
+    attempt.close(v_w, expected_w, "all three channels pull at a weight", why="sum over the channels of q (c_i - C)")
     generator = torch.Generator().manual_seed(8)
     w, c, C_s, v_C = (torch.rand(*size, generator=generator, dtype=F64) for size in ((9,), (9, 3), (3,), (3,)))
     C = _blend_over(w, c, C_s)[0]
-    v_w, v_c = unpack(attempt.on(on)(w, c, C, v_C - 0.5), names, on=on)
+    v_w, v_c = attempt.unpack(attempt.on("nine random Gaussians")(w, c, C, v_C - 0.5), names)
     expected_w, expected_c = _blend_over_vjp(w, c, C, v_C - 0.5)
-    close(v_w, expected_w, "dL/dw_i = q . (c_i - C)", on=on)
-    close(v_c, expected_c, "dL/dc_i = w_i q", on=on)
+    attempt.close(v_w, expected_w, "dL/dw_i = q . (c_i - C)")
+    attempt.close(v_c, expected_c, "dL/dc_i = w_i q")

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ..render.composite import blend_weights
 from ..render.constants import ALPHA_MAX
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 from .gradient_check import central_difference
 
 Loss = Callable[[Tensor], Tensor]
@@ -54,21 +54,14 @@ def slope(attempt: Attempt) -> None:
     """Gradient of a function by central differences."""
     f64 = torch.float64
     x, a = torch.tensor([1.0, -2.0, 0.5], dtype=f64), torch.tensor([3.0, -1.0, 2.0], dtype=f64)
-    on = "the straight line 3 x0 - x1 + 2 x2"
-    close(attempt.on(on)(lambda p: a @ p, x, 1e-3), a, "the slope of a straight line is its coefficients", on=on)
-    on = "the parabola sum x^2 with h = 0.1"
+    attempt.on("the straight line 3 x0 - x1 + 2 x2")
+    attempt.close(attempt(lambda p: a @ p, x, 1e-3), a, "the slope of a straight line is its coefficients")
+    attempt.on("the parabola sum x^2 with h = 0.1")
     why = "take both sides: (f(x+h) - f(x-h)) / 2h"
-    close(
-        attempt.on(on)(lambda p: (p * p).sum(), x, 0.1),
-        2 * x,
-        "a parabola has no error even for large h",
-        on=on,
-        why=why,
-    )
-    on = "sin(x0) x1 x2"
+    attempt.close(attempt(lambda p: (p * p).sum(), x, 0.1), 2 * x, "a parabola has no error even for large h", why=why)
     expected = torch.stack([x[0].cos() * x[1] * x[2], x[0].sin() * x[2], x[0].sin() * x[1]])
-    got = attempt.on(on)(lambda p: p[0].sin() * p[1] * p[2], x, 1e-4)
-    close(got, expected, "every element has its own slope", on=on, tolerance=1e-6)
+    got = attempt.on("sin(x0) x1 x2")(lambda p: p[0].sin() * p[1] * p[2], x, 1e-4)
+    attempt.close(got, expected, "every element has its own slope", tolerance=1e-6)
 
 
 def _l1_gradient(rgb: Tensor, target: Tensor) -> Tensor:
@@ -101,23 +94,18 @@ def _as_l1_vjp(yours: Yours, rgb: Tensor, target: Tensor, v_loss: float = 1.0) -
 )  # fmt: skip
 def l1_gradient(attempt: Attempt) -> None:
     """Gradient of the mean absolute difference of two images."""
-    on = "a picture of 2 x 2 pixels, everywhere 0.2 too bright"
     dark = torch.full((2, 2, 3), 0.4)
-    got = attempt.on(on)(dark + 0.2, dark)
-    close(torch.as_tensor(got).sign(), torch.ones(2, 2, 3), "too bright means a positive gradient", on=on)
-    close(
-        got,
-        torch.full((2, 2, 3), 1 / 12),
-        "the loss is a mean over pixels and channels",
-        on=on,
-        why="2 * 2 * 3 = 12 values",
+    got = attempt.on("a picture of 2 x 2 pixels, everywhere 0.2 too bright")(dark + 0.2, dark)
+    attempt.close(torch.as_tensor(got).sign(), torch.ones(2, 2, 3), "too bright means a positive gradient")
+    attempt.close(
+        got, torch.full((2, 2, 3), 1 / 12), "the loss is a mean over pixels and channels", why="2 * 2 * 3 = 12 values"
     )
-    on = "two equal pictures"
-    close(attempt.on(on)(dark, dark), torch.zeros(2, 2, 3), "where nothing differs the gradient is 0", on=on)
+    attempt.on("two equal pictures")
+    attempt.close(attempt(dark, dark), torch.zeros(2, 2, 3), "where nothing differs the gradient is 0")
     generator = torch.Generator().manual_seed(1)
     a, b = torch.rand(3, 5, 3, generator=generator), torch.rand(3, 5, 3, generator=generator)
-    on = "random pictures of 3 x 5 pixels"
-    close(attempt.on(on)(a, b), _l1_gradient(a, b), "dL/drgb = sign(rgb - target) / n", on=on)
+    attempt.on("random pictures of 3 x 5 pixels")
+    attempt.close(attempt(a, b), _l1_gradient(a, b), "dL/drgb = sign(rgb - target) / n")
 
 
 def _pinhole_vjp(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
@@ -154,21 +142,20 @@ def pinhole_vjp(attempt: Attempt) -> None:
     """Gradient of the pinhole projection: from dL/d(u, v) to dL/d(x, y, z)."""
     f64 = torch.float64
     ahead, aside = torch.tensor([0.0, 0.0, 2.0], dtype=f64), torch.tensor([1.0, -0.5, 2.0], dtype=f64)
-    on = "a point 2 m straight ahead, dL/du = 1, fx = 100"
-    got = attempt.on(on)(ahead, 100.0, 80.0, torch.tensor([1.0, 0.0], dtype=f64))
+    attempt.on("a point 2 m straight ahead, dL/du = 1, fx = 100")
+    got = attempt(ahead, 100.0, 80.0, torch.tensor([1.0, 0.0], dtype=f64))
     got = torch.as_tensor(got)
-    close(got[:2], [50.0, 0.0], "x moves u by fx / z", on=on)
-    close(got[2], 0.0, "straight ahead, moving along z changes nothing: x is 0", on=on)
-    on = "the same point, dL/dv = 1, fy = 80"
-    got = attempt.on(on)(ahead, 100.0, 80.0, torch.tensor([0.0, 1.0], dtype=f64))
-    close(got, [0.0, 40.0, 0.0], "y moves v by fy / z", on=on)
-    on = "a point at (1, -0.5, 2), dL/du = dL/dv = 1"
-    got = attempt.on(on)(aside, 100.0, 80.0, torch.tensor([1.0, 1.0], dtype=f64))
+    attempt.close(got[:2], [50.0, 0.0], "x moves u by fx / z")
+    attempt.close(got[2], 0.0, "straight ahead, moving along z changes nothing: x is 0")
+    got = attempt.on("the same point, dL/dv = 1, fy = 80")(ahead, 100.0, 80.0, torch.tensor([0.0, 1.0], dtype=f64))
+    attempt.close(got, [0.0, 40.0, 0.0], "y moves v by fy / z")
+    attempt.on("a point at (1, -0.5, 2), dL/du = dL/dv = 1")
+    got = attempt(aside, 100.0, 80.0, torch.tensor([1.0, 1.0], dtype=f64))
     why = "u = fx x / z, differentiated by z"
-    close(got, [50.0, 40.0, -25.0 + 10.0], "moving away moves u and v towards the middle: -fx x / z^2", on=on, why=why)
-    on = "another point"
+    attempt.close(got, [50.0, 40.0, -25.0 + 10.0], "moving away moves u and v towards the middle: -fx x / z^2", why=why)
+    attempt.on("another point")
     xyz, v = torch.tensor([-0.7, 0.3, 1.3], dtype=f64), torch.tensor([0.4, -1.7], dtype=f64)
-    close(attempt.on(on)(xyz, 90.0, 110.0, v), _pinhole_vjp(xyz, 90.0, 110.0, v), "v_xyz = J^T v_uv", on=on)
+    attempt.close(attempt(xyz, 90.0, 110.0, v), _pinhole_vjp(xyz, 90.0, 110.0, v), "v_xyz = J^T v_uv")
 
 
 def _inverse_vjp(Q: Tensor, v_Q: Tensor) -> Tensor:
@@ -198,20 +185,19 @@ def _element_by_element(Q: Tensor, v_Q: Tensor) -> Tensor:
 def inverse_vjp(attempt: Attempt) -> None:
     """Gradient of a matrix inverse: from dL/dQ to dL/dcov, Q = cov^-1."""
     f64 = torch.float64
-    on = "cov = 2 I, so Q = I / 2, and dL/dQ = I"
     eye = torch.eye(2, dtype=f64)
-    got = attempt.on(on)(0.5 * eye, eye)
-    close(got, -0.25 * eye, "a wider Gaussian has a smaller conic", on=on, why="d(1/s) = -1/s^2")
+    got = attempt.on("cov = 2 I, so Q = I / 2, and dL/dQ = I")(0.5 * eye, eye)
+    attempt.close(got, -0.25 * eye, "a wider Gaussian has a smaller conic", why="d(1/s) = -1/s^2")
     cov = torch.tensor([[2.0, 0.8], [0.8, 1.0]], dtype=f64)
     v_Q = torch.tensor([[1.0, 0.3], [0.3, -2.0]], dtype=f64)
-    on = "a tilted ellipse"
+    attempt.on("a tilted ellipse")
     expected = _inverse_vjp(cov.inverse(), v_Q)
-    close(attempt.on(on)(cov.inverse(), v_Q), expected, "the matrix acts from both sides: -Q^T v_Q Q^T", on=on)
-    on = "the same ellipse, and a v_Q that is not symmetric"
+    attempt.close(attempt(cov.inverse(), v_Q), expected, "the matrix acts from both sides: -Q^T v_Q Q^T")
+    attempt.on("the same ellipse, and a v_Q that is not symmetric")
     v_Q = torch.tensor([[1.0, 0.7], [-0.4, -2.0]], dtype=f64)
     expected = _inverse_vjp(cov.inverse(), v_Q)
     why = "entry (i, j) of v_Q belongs to entry (i, j) of Q"
-    close(attempt.on(on)(cov.inverse(), v_Q), expected, "v_Q is not transposed: -Q^T v_Q Q^T", on=on, why=why)
+    attempt.close(attempt(cov.inverse(), v_Q), expected, "v_Q is not transposed: -Q^T v_Q Q^T", why=why)
 
 
 def _blend(alpha: Tensor, rgb: Tensor) -> Tensor:
@@ -269,22 +255,21 @@ def blend_vjp(attempt: Attempt) -> None:
     """Gradient of the blending of one pixel: from dL/dC to dL/dalpha and dL/dc."""
     f64, names = torch.float64, ("v_alpha", "v_rgb")
     alpha, rgb = torch.tensor([0.5, 0.8], dtype=f64), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=f64)
-    on = "red 0.5 in front of green 0.8, dL/dC = (1, 0, 0)"
-    v_alpha, v_rgb = unpack(attempt.on(on)(alpha, rgb, torch.tensor([1.0, 0.0, 0.0], dtype=f64)), names, on=on)
-    close(
-        v_rgb, [[0.5, 0.0, 0.0], [0.4, 0.0, 0.0]], "a colour counts with its weight", on=on, why="w = 0.5 and 0.5 * 0.8"
+    attempt.on("red 0.5 in front of green 0.8, dL/dC = (1, 0, 0)")
+    v_alpha, v_rgb = attempt.unpack(attempt(alpha, rgb, torch.tensor([1.0, 0.0, 0.0], dtype=f64)), names)
+    attempt.close(
+        v_rgb, [[0.5, 0.0, 0.0], [0.4, 0.0, 0.0]], "a colour counts with its weight", why="w = 0.5 and 0.5 * 0.8"
     )
-    close(v_alpha, [1.0, 0.0], "more alpha adds more of the Gaussian's own colour", on=on)
-    on = "the same, dL/dC = (0, 1, 0)"
-    v_alpha, _ = unpack(attempt.on(on)(alpha, rgb, torch.tensor([0.0, 1.0, 0.0], dtype=f64)), names, on=on)
+    attempt.close(v_alpha, [1.0, 0.0], "more alpha adds more of the Gaussian's own colour")
+    attempt.on("the same, dL/dC = (0, 1, 0)")
+    v_alpha, _ = attempt.unpack(attempt(alpha, rgb, torch.tensor([0.0, 1.0, 0.0], dtype=f64)), names)
     why = "the red one takes light from the green one: -S / (1 - alpha) = -0.4 / 0.5"
-    close(v_alpha, [-0.8, 0.5], "what stands behind gets darker: -S / (1 - alpha)", on=on, why=why)
-    on = "nine random Gaussians"
+    attempt.close(v_alpha, [-0.8, 0.5], "what stands behind gets darker: -S / (1 - alpha)", why=why)
     generator = torch.Generator().manual_seed(2)
     alpha = 0.9 * torch.rand(9, generator=generator, dtype=f64)
     rgb, v = torch.rand(9, 3, generator=generator, dtype=f64), torch.randn(3, generator=generator, dtype=f64)
-    v_alpha, v_rgb = unpack(attempt.on(on)(alpha, rgb, v), names, on=on)
+    v_alpha, v_rgb = attempt.unpack(attempt.on("nine random Gaussians")(alpha, rgb, v), names)
     a, c = alpha.clone().requires_grad_(), rgb.clone().requires_grad_()
     expected = torch.autograd.grad(_blend(a, c) @ v, (a, c))
-    close(v_rgb, expected[1], "v_rgb agrees with autograd", on=on)
-    close(v_alpha, expected[0], "v_alpha agrees with autograd", on=on)
+    attempt.close(v_rgb, expected[1], "v_rgb agrees with autograd")
+    attempt.close(v_alpha, expected[0], "v_alpha agrees with autograd")

@@ -8,7 +8,7 @@ from ..mapping import GSFusion
 from ..optim import Keyframe
 from ..tsdf import integrate
 from ..types import Camera, Frame
-from .exercise import Attempt, Becomes, Failed, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Failed, Wrong, Yours, exercise
 
 
 def _frame_rate(seconds: list[float]) -> float:
@@ -31,13 +31,12 @@ def _mean_of_rates(seconds: list[float]) -> float:
 )  # fmt: skip
 def frame_rate(attempt: Attempt) -> None:
     """Frames per second of a run, from the seconds of each frame."""
-    on = "ten frames of 0.1 s"
-    close(attempt.on(on)([0.1] * 10), 10.0, "equal frames: one divided by the time of each", on=on)
-    on = "one frame of 0.01 s and one of 0.99 s"
+    attempt.close(attempt.on("ten frames of 0.1 s")([0.1] * 10), 10.0, "equal frames: one divided by the time of each")
+    attempt.on("one frame of 0.01 s and one of 0.99 s")
     why = "The mean of 1/t would be 50.5, but only two frames were mapped in that second"
-    close(attempt.on(on)([0.01, 0.99]), 2.0, "frames divided by the time they took", on=on, why=why)
-    on = "three frames of 0.1, 0.2 and 0.4 s"
-    close(attempt.on(on)([0.1, 0.2, 0.4]), 3 / 0.7, "frames divided by the time they took", on=on)
+    attempt.close(attempt([0.01, 0.99]), 2.0, "frames divided by the time they took", why=why)
+    attempt.on("three frames of 0.1, 0.2 and 0.4 s")
+    attempt.close(attempt([0.1, 0.2, 0.4]), 3 / 0.7, "frames divided by the time they took")
 
 
 def _plan_frame(n_seeds: int, n_keyframes: int, m: int, n: int, r: int, min_seeds: int) -> tuple[bool, int, int]:
@@ -89,33 +88,27 @@ def plan_frame(attempt: Attempt) -> None:
     names = ("is_keyframe", "steps", "revisits")
 
     def plan(on: str, *numbers: int) -> tuple:
-        return unpack(attempt.on(on)(*numbers), names, on=on)
+        return attempt.unpack(attempt.on(on)(*numbers), names)
 
     on = "300 new Gaussians, 7 keyframes so far, m = 5, n = 3, r = 2, threshold 50"
     key, steps, revisits = plan(on, 300, 7, 5, 3, 2, 50)
-    holds(key, "a frame with many new Gaussians is a keyframe", on=on, detail=f"is_keyframe is {key!r}")
-    close(steps, 5, "a keyframe gets m steps", on=on)
-    close(revisits, 0, "at a keyframe no other frames are revisited", on=on)
-    on = "10 new Gaussians, 7 keyframes so far"
-    key, steps, revisits = plan(on, 10, 7, 5, 3, 2, 50)
-    holds(not key, "a frame with few new Gaussians is not a keyframe", on=on, detail=f"is_keyframe is {key!r}")
-    close([steps, revisits], [3, 2], "any other frame gets n steps, and r revisits", on=on)
-    on = "exactly 50 new Gaussians"
-    key, *_ = plan(on, 50, 7, 5, 3, 2, 50)
-    holds(not key, "a keyframe adds more new Gaussians than the threshold", on=on, detail="50 is not more than 50")
-    on = "120 new Gaussians, threshold 200, m = 6, n = 2, r = 1"
-    key, steps, revisits = plan(on, 120, 7, 6, 2, 1, 200)
+    attempt.holds(key, "a frame with many new Gaussians is a keyframe", detail=f"is_keyframe is {key!r}")
+    attempt.close(steps, 5, "a keyframe gets m steps")
+    attempt.close(revisits, 0, "at a keyframe no other frames are revisited")
+    key, steps, revisits = plan("10 new Gaussians, 7 keyframes so far", 10, 7, 5, 3, 2, 50)
+    attempt.holds(not key, "a frame with few new Gaussians is not a keyframe", detail=f"is_keyframe is {key!r}")
+    attempt.close([steps, revisits], [3, 2], "any other frame gets n steps, and r revisits")
+    key, *_ = plan("exactly 50 new Gaussians", 50, 7, 5, 3, 2, 50)
+    attempt.holds(not key, "a keyframe adds more new Gaussians than the threshold", detail="50 is not more than 50")
+    key, steps, revisits = plan("120 new Gaussians, threshold 200, m = 6, n = 2, r = 1", 120, 7, 6, 2, 1, 200)
     prop = "the threshold is min_seeds, and the steps are m, n and r, not the paper's numbers"
-    holds((bool(key), steps, revisits) == (False, 2, 1), prop, on=on, detail=f"got {key!r}, {steps}, {revisits}")
+    attempt.holds((bool(key), steps, revisits) == (False, 2, 1), prop, detail=f"got {key!r}, {steps}, {revisits}")
     on = "10 new Gaussians, one keyframe so far"
-    close(
-        plan(on, 10, 1, 5, 3, 2, 50)[2],
-        1,
-        "there are never more revisits than keyframes: each goes to another one",
-        on=on,
+    attempt.close(
+        plan(on, 10, 1, 5, 3, 2, 50)[2], 1, "there are never more revisits than keyframes: each goes to another one"
     )
     on = "10 new Gaussians, no keyframe yet"
-    close(plan(on, 10, 0, 5, 3, 2, 50)[2], 0, "without keyframes there are no revisits", on=on)
+    attempt.close(plan(on, 10, 0, 5, 3, 2, 50)[2], 0, "without keyframes there are no revisits")
 
 
 def _draw_keyframes(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
@@ -166,22 +159,32 @@ def draw_keyframes(attempt: Attempt) -> None:
 
     on = "2 out of 5, drawn 400 times"
     draws = draw(on, 5, 2, 400)
-    holds(all(len(d) == 2 and min(d) >= 0 and max(d) < 5 for d in draws), "as many indices as requested, in 0..n-1",
-          on=on, detail=f"one draw was {next((d for d in draws if len(d) != 2 or max(d) > 4), draws[0])}")  # fmt: skip
-    holds(all(len(set(d)) == 2 for d in draws), "no keyframe twice in one draw", on=on,
-          detail=f"one draw was {next((d for d in draws if len(set(d)) < 2), [])}")  # fmt: skip
+    attempt.holds(
+        all(len(d) == 2 and min(d) >= 0 and max(d) < 5 for d in draws),
+        "as many indices as requested, in 0..n-1",
+        detail=f"one draw was {next((d for d in draws if len(d) != 2 or max(d) > 4), draws[0])}",
+    )
+    attempt.holds(
+        all(len(set(d)) == 2 for d in draws),
+        "no keyframe twice in one draw",
+        detail=f"one draw was {next((d for d in draws if len(set(d)) < 2), [])}",
+    )
     torch_state = torch.get_rng_state()
     again = draw(on, 5, 2, 20)
     same = torch.equal(torch_state, torch.get_rng_state()) and again == draws[:20]
-    holds(same, "random numbers come only from the generator that is passed in", on=on,
-          detail="the same seed gave another draw, or torch's global generator has moved")  # fmt: skip
+    attempt.holds(
+        same,
+        "random numbers come only from the generator that is passed in",
+        detail="the same seed gave another draw, or torch's global generator has moved",
+    )
     share = torch.bincount(torch.tensor(draws).flatten(), minlength=5) / 800
-    holds((share - 0.2).abs().max() < 0.06, "every keyframe has the same chance", on=on,
-          detail=f"shares of the five: {[round(float(s), 2) for s in share]}, expected 0.2 each")  # fmt: skip
-    on = "4 out of 3"
-    close(sorted(draw(on, 3, 4)[0]), [0, 1, 2], "from a short list, all of it", on=on)
-    on = "2 out of none"
-    close(len(draw(on, 0, 2)[0]), 0, "from an empty list, nothing", on=on)
+    attempt.holds(
+        (share - 0.2).abs().max() < 0.06,
+        "every keyframe has the same chance",
+        detail=f"shares of the five: {[round(float(s), 2) for s in share]}, expected 0.2 each",
+    )
+    attempt.close(sorted(draw("4 out of 3", 3, 4)[0]), [0, 1, 2], "from a short list, all of it")
+    attempt.close(len(draw("2 out of none", 0, 2)[0]), 0, "from an empty list, nothing")
 
 
 class Log:
@@ -269,35 +272,46 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
 )  # fmt: skip
 def map_frame(attempt: Attempt) -> None:
     """The whole step: fuse, seed, optimise, revisit (Fig. 2)."""
-    on = "a first frame of a patterned wall"
     theirs, ours = _small_mapper(), _small_mapper()
     log = Log(theirs)
     first = _wall(0)
     expected = _map_frame(ours, first, lambda view: None)
-    got = attempt.on(on)(theirs, first, log)
-    holds(theirs.volume.n_blocks > 0, "the frame is fused into the TSDF", on=on, detail="the volume is still empty")
-    close(len(theirs.gaussians), expected, "the frame is fused into the TSDF before the rule runs, and the "
-          "seeds are appended to the map", on=on, why="Before, every voxel has weight 0")  # fmt: skip
-    close(got, expected, "it returns the number of new Gaussians", on=on)
+    got = attempt.on("a first frame of a patterned wall")(theirs, first, log)
+    attempt.holds(theirs.volume.n_blocks > 0, "the frame is fused into the TSDF", detail="the volume is still empty")
+    attempt.close(
+        len(theirs.gaussians),
+        expected,
+        "the frame is fused into the TSDF before the rule runs, and the seeds are appended to the map",
+        why="Before, every voxel has weight 0",
+    )
+    attempt.close(got, expected, "it returns the number of new Gaussians")
     early = any(n < expected for _, _, n in log.calls)
-    holds(not early, "the new Gaussians are in the map when the frame is optimised", on=on,
-          detail="optimise was called while the map was empty")  # fmt: skip
-    holds(len(theirs.keyframes) == 1, "a frame with many new Gaussians becomes a keyframe", on=on,
-          detail=f"{expected} new Gaussians, and {len(theirs.keyframes)} keyframes")  # fmt: skip
-    close(len(log.calls), 5, "a keyframe gets m = 5 steps, all on itself", on=on)
-    on = "the same wall again"
-    _second(attempt, theirs, log, on)
+    attempt.holds(
+        not early,
+        "the new Gaussians are in the map when the frame is optimised",
+        detail="optimise was called while the map was empty",
+    )
+    attempt.holds(
+        len(theirs.keyframes) == 1,
+        "a frame with many new Gaussians becomes a keyframe",
+        detail=f"{expected} new Gaussians, and {len(theirs.keyframes)} keyframes",
+    )
+    attempt.close(len(log.calls), 5, "a keyframe gets m = 5 steps, all on itself")
+    _second(attempt, theirs, log, "the same wall again")
 
 
 def _second(attempt: Attempt, mapper: GSFusion, log: Log, on: str) -> None:
     """The frame shows nothing new: three steps on it, then one on the only keyframe."""
     log.calls.clear()
-    close(attempt.on(on)(mapper, _wall(1), log), 0, "what was seen is not seeded again", on=on)
-    close(len(mapper.keyframes), 1, "a frame with few new Gaussians is not a keyframe", on=on)
+    attempt.close(attempt.on(on)(mapper, _wall(1), log), 0, "what was seen is not seeded again")
+    attempt.close(len(mapper.keyframes), 1, "a frame with few new Gaussians is not a keyframe")
     kinds = [kind for kind, _, _ in log.calls]
-    close(kinds.count("frame"), 3, "a frame that is not a keyframe gets n = 3 steps", on=on)
-    holds(kinds.count("keyframe") == 1, "afterwards random keyframes are revisited, up to two", on=on,
-          detail=f"the list has one, and {kinds.count('keyframe')} were optimised")  # fmt: skip
+    attempt.close(kinds.count("frame"), 3, "a frame that is not a keyframe gets n = 3 steps")
+    attempt.holds(
+        kinds.count("keyframe") == 1,
+        "afterwards random keyframes are revisited, up to two",
+        detail=f"the list has one, and {kinds.count('keyframe')} were optimised",
+    )
     if kinds[-1] != "keyframe":
         raise Failed("the revisits come last", on, f"the order was {', '.join(kinds)}")
 

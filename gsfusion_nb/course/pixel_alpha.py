@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ..render.constants import ALPHA_MAX, ALPHA_MIN
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 
 def _sigma(dx: Tensor, dy: Tensor, conic: Tensor) -> Tensor:
@@ -62,28 +62,25 @@ def _as_splat_alpha(yours: Yours, dx: Tensor, dy: Tensor, conic: Tensor, opacity
 def splat_alpha(attempt: Attempt) -> None:
     """Opacity of one Gaussian at many pixels: the bell, capped at 0.99 and cut at 1/255."""
     zero, round_one = torch.zeros(1), torch.tensor([0.25, 0.0, 0.25])
-    on = "the centre of a Gaussian of opacity 0.6"
-    got = attempt.on(on)(zero, zero, round_one, torch.tensor(0.6))
-    close(got, [0.6], "in its centre it is as opaque as opacity says", on=on)
-    on = "2 px to the right, and 1 px down, of a round Gaussian of standard deviation 2 px"
+    got = attempt.on("the centre of a Gaussian of opacity 0.6")(zero, zero, round_one, torch.tensor(0.6))
+    attempt.close(got, [0.6], "in its centre it is as opaque as opacity says")
+    attempt.on("2 px to the right, and 1 px down, of a round Gaussian of standard deviation 2 px")
     dx, dy = torch.tensor([2.0, 0.0]), torch.tensor([0.0, 1.0])
     expected = 0.6 * torch.exp(-torch.tensor([0.5, 0.125]))
-    close(attempt.on(on)(dx, dy, round_one, torch.tensor(0.6)), expected, "alpha = opacity exp(-sigma)", on=on)
-    on = "1 px right and 1 px down of a tilted Gaussian, conic (0.3, 0.2, 0.4)"
-    got = attempt.on(on)(zero + 1, zero + 1, torch.tensor([0.3, 0.2, 0.4]), torch.tensor(0.6))
+    attempt.close(attempt(dx, dy, round_one, torch.tensor(0.6)), expected, "alpha = opacity exp(-sigma)")
+    attempt.on("1 px right and 1 px down of a tilted Gaussian, conic (0.3, 0.2, 0.4)")
+    got = attempt(zero + 1, zero + 1, torch.tensor([0.3, 0.2, 0.4]), torch.tensor(0.6))
     expected = 0.6 * torch.exp(torch.tensor([-0.55]))
-    close(got, expected, "B dx dy is not halved: it stands twice in the product of the matrix", on=on)
-    on = "2 px right and 1 px up of the same Gaussian"
-    got = attempt.on(on)(zero + 2, zero - 1, torch.tensor([0.3, 0.2, 0.4]), torch.tensor(0.6))
+    attempt.close(got, expected, "B dx dy is not halved: it stands twice in the product of the matrix")
+    attempt.on("2 px right and 1 px up of the same Gaussian")
+    got = attempt(zero + 2, zero - 1, torch.tensor([0.3, 0.2, 0.4]), torch.tensor(0.6))
     expected = 0.6 * torch.exp(torch.tensor([-0.4]))
-    close(got, expected, "A belongs to dx, C to dy, and B dx dy may be negative", on=on)
-    on = "the centre of a Gaussian of opacity 0.999"
-    got = attempt.on(on)(zero, zero, round_one, torch.tensor(0.999))
-    close(got, [0.99], "it is never more than 0.99, so that some light is left", on=on)
-    on = "far outside, where the bell is 1/300"
+    attempt.close(got, expected, "A belongs to dx, C to dy, and B dx dy may be negative")
+    got = attempt.on("the centre of a Gaussian of opacity 0.999")(zero, zero, round_one, torch.tensor(0.999))
+    attempt.close(got, [0.99], "it is never more than 0.99, so that some light is left")
     far = torch.full((1,), 8 * torch.log(torch.tensor(300 * 0.6)).item()).sqrt()
-    got = torch.as_tensor(attempt.on(on)(far, zero, round_one, torch.tensor(0.6)))
-    holds(not got.any(), "below 1/255 it is exactly 0", on=on, detail=f"got {got.tolist()}")
+    got = torch.as_tensor(attempt.on("far outside, where the bell is 1/300")(far, zero, round_one, torch.tensor(0.6)))
+    attempt.holds(not got.any(), "below 1/255 it is exactly 0", detail=f"got {got.tolist()}")
 
 
 def _splat_alpha_vjp(
@@ -160,35 +157,37 @@ def splat_alpha_vjp(attempt: Attempt) -> None:
     """Gradient of a Gaussian's opacity at many pixels: dL/d of its centre, conic and opacity."""
     f64, names = torch.float64, ("v_uv", "v_conic", "v_opacity")
     one, conic = torch.ones(1, dtype=f64), torch.tensor([0.25, 0.0, 0.25], dtype=f64)
-    on = "one pixel 1 px to the right of a round Gaussian, opacity 0.5, dL/dalpha = -1"
+    attempt.on("one pixel 1 px to the right of a round Gaussian, opacity 0.5, dL/dalpha = -1")
     o = torch.tensor(0.5, dtype=f64)
-    v_uv, _, v_opacity = unpack(attempt.on(on)(one, 0 * one, conic, o, -one), names, on=on)
+    v_uv, _, v_opacity = attempt.unpack(attempt(one, 0 * one, conic, o, -one), names)
     bell = torch.exp(torch.tensor(-0.125, dtype=f64))
     why = "the gradient is negative there, and descent goes against it"
-    close(torch.as_tensor(v_uv).sign(), [-1.0, 0.0], "more alpha to the right of it pulls the centre to the right",
-          on=on, why=why)  # fmt: skip
-    close(v_uv, [-0.25 * 0.5 * bell, 0.0], "v_uv = alpha v_alpha (A dx + B dy, B dx + C dy)", on=on)
-    close(v_opacity, -bell, "v_opacity = v_alpha exp(-sigma)", on=on)
-    on = "the same pixel twice"
-    v_uv, *_ = unpack(attempt.on(on)(one.repeat(2), 0 * one.repeat(2), conic, o, -one.repeat(2)), names, on=on)
-    close(v_uv, [-0.25 * bell, 0.0], "all pixels add up", on=on)
-    on = "a pixel in the centre of a Gaussian of opacity 0.999, and one far outside"
+    attempt.close(
+        torch.as_tensor(v_uv).sign(),
+        [-1.0, 0.0],
+        "more alpha to the right of it pulls the centre to the right",
+        why=why,
+    )
+    attempt.close(v_uv, [-0.25 * 0.5 * bell, 0.0], "v_uv = alpha v_alpha (A dx + B dy, B dx + C dy)")
+    attempt.close(v_opacity, -bell, "v_opacity = v_alpha exp(-sigma)")
+    attempt.on("the same pixel twice")
+    v_uv, *_ = attempt.unpack(attempt(one.repeat(2), 0 * one.repeat(2), conic, o, -one.repeat(2)), names)
+    attempt.close(v_uv, [-0.25 * bell, 0.0], "all pixels add up")
+    attempt.on("a pixel in the centre of a Gaussian of opacity 0.999, and one far outside")
     dx = torch.tensor([0.1, 30.0], dtype=f64)
-    got = unpack(attempt.on(on)(dx, 0 * dx, conic, torch.tensor(0.999, dtype=f64), torch.ones(2, dtype=f64)), names,
-                 on=on)  # fmt: skip
+    got = attempt.unpack(attempt(dx, 0 * dx, conic, torch.tensor(0.999, dtype=f64), torch.ones(2, dtype=f64)), names)
     capped = "where alpha is capped or cut, nothing moves it"
-    close(torch.cat([torch.as_tensor(v, dtype=f64).reshape(-1) for v in got]), [0.0] * 6, capped, on=on)
-    on = "a pixel where the bell is 1/300"
+    attempt.close(torch.cat([torch.as_tensor(v, dtype=f64).reshape(-1) for v in got]), [0.0] * 6, capped)
     far = torch.full((1,), 8 * math.log(300 * 0.5), dtype=f64).sqrt()
-    got = unpack(attempt.on(on)(far, 0 * far, conic, o, 100 * one), names, on=on)
-    close(torch.cat([torch.as_tensor(v, dtype=f64).reshape(-1) for v in got]), [0.0] * 6, capped, on=on)
-    on = "forty random pixels around a tilted Gaussian"
+    got = attempt.unpack(attempt.on("a pixel where the bell is 1/300")(far, 0 * far, conic, o, 100 * one), names)
+    attempt.close(torch.cat([torch.as_tensor(v, dtype=f64).reshape(-1) for v in got]), [0.0] * 6, capped)
+    attempt.on("forty random pixels around a tilted Gaussian")
     generator = torch.Generator().manual_seed(6)
     uv, tilted = torch.zeros(2, dtype=f64, requires_grad=True), torch.tensor([0.3, 0.1, 0.2], dtype=f64)
     pixel, v = (torch.randn(40, n, generator=generator, dtype=f64) for n in (2, 1))
     c, a = tilted.clone().requires_grad_(), torch.tensor(0.7, dtype=f64, requires_grad=True)
     dx, dy = (2 * pixel - uv).unbind(1)
     expected = torch.autograd.grad(_splat_alpha(dx, dy, c, a) @ v[:, 0], (uv, c, a))
-    got = unpack(attempt.on(on)(dx.detach(), dy.detach(), tilted, a.detach(), v[:, 0]), names, on=on)
+    got = attempt.unpack(attempt(dx.detach(), dy.detach(), tilted, a.detach(), v[:, 0]), names)
     for name, mine, right in zip(names, got, expected, strict=True):
-        close(mine, right, f"{name} agrees with autograd", on=on)
+        attempt.close(mine, right, f"{name} agrees with autograd")

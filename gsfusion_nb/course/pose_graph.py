@@ -5,7 +5,7 @@ from torch import Tensor
 
 from ..geometry import se3
 from ..tracking import pose_graph_step, relative_pose_error
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 F64 = torch.float64
 
@@ -65,22 +65,27 @@ def relative_error(attempt: Attempt) -> None:
     T_i, T_j = se3.exp(0.6 * torch.randn(2, 6, generator=generator, dtype=F64))
     T_ij = se3.inverse(T_i) @ T_j
     on = still = "two turned cameras, and the relative pose between them measured without error"
-    e, J_i, J_j = unpack(attempt.on(on)(T_i, T_j, T_ij), names, on=on)
-    close(e, torch.zeros(6), "a perfect measurement has no error", on=on, tolerance=1e-6)
+    e, J_i, J_j = attempt.unpack(attempt.on(on)(T_i, T_j, T_ij), names)
+    attempt.close(e, torch.zeros(6), "a perfect measurement has no error", tolerance=1e-6)
     off = torch.tensor([0.1, 0.0, 0.0, 0.0, 0.0, 0.05], dtype=F64)
-    on = "the same cameras; the measured pose of j lies 10 cm farther left in j's own axes, turned by 3 degrees"
-    e_off = unpack(attempt.on(on)(T_i, T_j, T_ij @ se3.exp(-off)), names, on=on)[0]
+    attempt.on("the same cameras; the measured pose of j lies 10 cm farther left in j's own axes, turned by 3 degrees")
+    e_off = attempt.unpack(attempt(T_i, T_j, T_ij @ se3.exp(-off)), names)[0]
     backwards = _is_close(e_off, -off)
-    holds(not backwards, "e points from where j was measured to where it is", on=on, detail="the sign is turned round")
-    close(e_off, off, "e is a twist along the axes of camera j, translation first", on=on, tolerance=1e-5)
-    on = still
+    attempt.holds(not backwards, "e points from where j was measured to where it is", detail="the sign is turned round")
+    attempt.close(e_off, off, "e is a twist along the axes of camera j, translation first", tolerance=1e-5)
+    attempt.on(still)
     for J in (J_i, J_j):
         six = tuple(getattr(J, "shape", ())) == (6, 6)
-        holds(six, "J_i and J_j are 6 x 6", on=on, detail="expected two tensors [6, 6]")
+        attempt.holds(six, "J_i and J_j are 6 x 6", detail="expected two tensors [6, 6]")
     for name, J, moved in (("J_j", J_j, 1), ("J_i", J_i, 0)):
         prop = f"{name} is the derivative of e with respect to xi_{name[-1]}"
-        close(J, _differences(T_i, T_j, T_ij, moved), prop, on=on, tolerance=1e-4,
-              why=f"T_{name[-1]} becomes T_{name[-1]} exp(xi), and e is differentiated by xi")  # fmt: skip
+        attempt.close(
+            J,
+            _differences(T_i, T_j, T_ij, moved),
+            prop,
+            tolerance=1e-4,
+            why=f"T_{name[-1]} becomes T_{name[-1]} exp(xi), and e is differentiated by xi",
+        )
 
 
 def _is_close(value: object, expected: Tensor) -> bool:
@@ -166,14 +171,13 @@ def graph_step(attempt: Attempt) -> None:
     even = _ones(3)
     on = "three poses 1 m apart, as measured; a loop says that the last is 2.3 m from the first"
     got = _asked(attempt, on, line, i, j, measured, even)
-    close(got[0], line[0], "the first pose stays", on=on, tolerance=1e-6, why="leave its rows and columns out of H")
+    attempt.close(got[0], line[0], "the first pose stays", tolerance=1e-6, why="leave its rows and columns out of H")
     prop = "a contradiction is shared by all edges of the loop"
-    close(got[:, 0, 3], [0.0, 1.1, 2.2], prop, on=on, tolerance=1e-4, why="each of the three edges takes 10 cm of it")
-    on = "the same, and the loop is a thousand times as certain"
+    attempt.close(got[:, 0, 3], [0.0, 1.1, 2.2], prop, tolerance=1e-4, why="each of the three edges takes 10 cm of it")
     sure = even * torch.tensor([1.0, 1.0, 1000.0], dtype=F64)[:, None, None]
-    got = _asked(attempt, on, line, i, j, measured, sure)
+    got = _asked(attempt, "the same, and the loop is a thousand times as certain", line, i, j, measured, sure)
     prop = "the surer measurement counts more"
-    close(got[:, 0, 3], [0.0, 1.15, 2.3], prop, on=on, tolerance=1e-3, why="Omega stands in H and in b")
+    attempt.close(got[:, 0, 3], [0.0, 1.15, 2.3], prop, tolerance=1e-3, why="Omega stands in H and in b")
     generator = torch.Generator().manual_seed(9)
     turned = se3.exp(torch.randn(4, 6, generator=generator, dtype=F64))
     i, j = torch.tensor([0, 1, 2, 0, 3]), torch.tensor([1, 2, 3, 3, 1])
@@ -182,10 +186,10 @@ def graph_step(attempt: Attempt) -> None:
     on = "four turned poses and five edges, one of them from a later pose to an earlier one"
     got = _asked(attempt, on, turned, i, j, measured, _ones(5))
     R = got[:, :3, :3]
-    close(R @ R.mT, torch.eye(3).expand(4, 3, 3), "every pose stays rigid", on=on, tolerance=1e-6, why="use se3.exp")
+    attempt.close(R @ R.mT, torch.eye(3).expand(4, 3, 3), "every pose stays rigid", tolerance=1e-6, why="use se3.exp")
     expected = pose_graph_step(turned, i, j, *relative_pose_error(turned[i], turned[j], measured), _ones(5))
     prop = "the step is in the camera's own axes: T_k exp(xi_k)"
-    close(got, expected, prop, on=on, tolerance=1e-5, why="it is that of gsfusion_nb.tracking.pose_graph_step")
+    attempt.close(got, expected, prop, tolerance=1e-5, why="it is that of gsfusion_nb.tracking.pose_graph_step")
 
 
 def _ones(n: int) -> Tensor:
@@ -196,5 +200,5 @@ def _asked(attempt: Attempt, on: str, poses: Tensor, i: Tensor, j: Tensor, measu
     """The learner's poses after one step."""
     got = attempt.on(on)(poses, i, j, *relative_pose_error(poses[i], poses[j], measured), weight)
     right = isinstance(got, Tensor) and got.shape == poses.shape
-    holds(right, "it returns all poses", on=on, detail=f"expected a tensor {list(poses.shape)}")
+    attempt.holds(right, "it returns all poses", detail=f"expected a tensor {list(poses.shape)}")
     return got

@@ -9,7 +9,7 @@ from ..geometry import se3
 from ..seeding.quadtree import LUMA_WEIGHTS, QUADTREE_NORMALISER, Cell, Cells, cut, quadtree
 from ..types import Camera
 from .attempt import as_rows
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 
 def _contrast(cell_rgb: Tensor, image_pixels: int) -> float:
@@ -58,31 +58,29 @@ def _as_luma_variance(yours: Yours, rgb: Tensor) -> float:
 )  # fmt: skip
 def contrast(attempt: Attempt) -> None:
     """The contrast that decides whether a cell is split."""
-    on = "a cell of one colour"
+    attempt.on("a cell of one colour")
     plain = torch.full((4, 4, 3), 90, dtype=torch.uint8)
-    close(attempt.on(on)(plain, 90_000), 0.0, "a plain cell has no contrast", on=on, tolerance=1e-9)
-    on = "half red (255, 0, 0), half green (0, 130, 0): almost the same brightness"
+    attempt.close(attempt(plain, 90_000), 0.0, "a plain cell has no contrast", tolerance=1e-9)
     mixed = torch.zeros(4, 4, 3, dtype=torch.uint8)
     mixed[:2, :, 0], mixed[2:, :, 1] = 255, 130
     right = (0.2989 * 127.5**2 + 0.5870 * 65.0**2) / 1000
-    got = float(attempt.on(on)(mixed, 90_000))
+    got = float(attempt.on("half red (255, 0, 0), half green (0, 130, 0): almost the same brightness")(mixed, 90_000))
     prop = "different colours of the same brightness have contrast, too"
-    holds(got > 1e-4 * right, prop, on=on, detail=f"got {got:.4g}, expected {right:.4g}")
-    on = "the same cell in images of 90,000 and 180,000 pixels"
-    twice = float(attempt.on(on)(mixed, 180_000)) / got
+    attempt.holds(got > 1e-4 * right, prop, detail=f"got {got:.4g}, expected {right:.4g}")
+    twice = float(attempt.on("the same cell in images of 90,000 and 180,000 pixels")(mixed, 180_000)) / got
     prop = "it is a variance, not its root, times the pixels of the whole image: twice the pixels, twice the contrast"
-    holds(abs(twice - 2) < 1e-3, prop, on=on, detail=f"it grows {twice:.3g} times")
-    on = "half of the cell 80, half 100 in red, green and blue constant, image of 90,000 pixels"
+    attempt.holds(abs(twice - 2) < 1e-3, prop, detail=f"it grows {twice:.3g} times")
+    attempt.on("half of the cell 80, half 100 in red, green and blue constant, image of 90,000 pixels")
     red = plain.clone()
     red[:2, :, 0], red[2:, :, 0] = 80, 100
     prop = "the variance is divided by the number of pixels, and red weighs 0.2989"
-    close(attempt.on(on)(red, 90_000), 0.2989 * 100 / 1000, prop, on=on, tolerance=1e-4)
-    on = "the cell half red, half green"
-    close(attempt.on(on)(mixed, 90_000), right, "green weighs 0.5870, blue 0.1140", on=on, tolerance=1e-4)
-    on = "a cell of 5 x 7 random pixels, image of 90,000 pixels"
+    attempt.close(attempt(red, 90_000), 0.2989 * 100 / 1000, prop, tolerance=1e-4)
+    attempt.on("the cell half red, half green")
+    attempt.close(attempt(mixed, 90_000), right, "green weighs 0.5870, blue 0.1140", tolerance=1e-4)
+    attempt.on("a cell of 5 x 7 random pixels, image of 90,000 pixels")
     noise = torch.randint(0, 256, (7, 5, 3), generator=torch.Generator().manual_seed(3), dtype=torch.uint8)
     prop = "V = 0.2989 var(R) + 0.5870 var(G) + 0.1140 var(B) over all pixels of the cell"
-    close(attempt.on(on)(noise, 90_000), _contrast(noise, 90_000), prop, on=on, tolerance=1e-4)
+    attempt.close(attempt(noise, 90_000), _contrast(noise, 90_000), prop, tolerance=1e-4)
 
 
 def _split(x0: int, y0: int, width: int, height: int) -> list[Cell]:
@@ -119,19 +117,18 @@ def split_cell(attempt: Attempt) -> None:
     """Split a cell into four."""
     names = ("four cells: top left", "bottom left", "top right", "bottom right")
     for cell in ((0, 0, 8, 4), (3, 2, 6, 4), (10, 20, 7, 5), (1, 4, 9, 15)):
-        on = f"the cell (x0, y0, width, height) = {cell}"
-        parts = unpack(as_rows(attempt.on(on)(*cell)), names, on=on)
+        parts = attempt.unpack(as_rows(attempt.on(f"the cell (x0, y0, width, height) = {cell}")(*cell)), names)
         covered = torch.zeros(64, 64, dtype=torch.int64)
         for part in parts:
-            x, y, w, h = (int(a) for a in unpack(part, ("x0", "y0", "width", "height"), on=on))
+            x, y, w, h = (int(a) for a in attempt.unpack(part, ("x0", "y0", "width", "height")))
             covered[y : y + h, x : x + w] += 1
         x, y, w, h = cell
         inside = covered[y : y + h, x : x + w]
         times = f"{int((inside == 0).sum())} pixels in none, {int((covered > 1).sum())} in more than one"
         whole = bool((inside == 1).all()) and int(covered.sum()) == w * h
-        holds(whole, "every pixel of the cell is in exactly one part", on=on, detail=times)
+        attempt.holds(whole, "every pixel of the cell is in exactly one part", detail=times)
         got = [tuple(map(int, p)) for p in parts]
-        holds(got == cut(*cell), "left and top parts get the floor of the half", on=on, detail=f"got {got}")
+        attempt.holds(got == cut(*cell), "left and top parts get the floor of the half", detail=f"got {got}")
 
 
 def _leaves(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
@@ -209,20 +206,18 @@ def quadtree_leaves(attempt: Attempt) -> None:
     noise = torch.randint(0, 256, (20, 28, 3), generator=g, dtype=torch.uint8)
     plain = torch.full((20, 28, 3), 128, dtype=torch.uint8)
     half = torch.where(torch.arange(28)[None, :, None] < 14, plain, noise)
-    on = "an image of one grey"
-    got = _as_cells(attempt.on(on)(plain, 0.01, 1), on)
-    holds(got == {(0, 0, 28, 20)}, "a plain image stays one cell", on=on, detail=f"got {len(got)} cells")
-    on = "an image of noise"
-    cells = _as_cells(attempt.on(on)(noise, 0.001, 5), on)
-    holds(len(cells) > 1, "a busy image is split", on=on, detail=f"got {len(cells)} cell")
+    got = _as_cells(attempt, attempt.on("an image of one grey")(plain, 0.01, 1))
+    attempt.holds(got == {(0, 0, 28, 20)}, "a plain image stays one cell", detail=f"got {len(got)} cells")
+    cells = _as_cells(attempt, attempt.on("an image of noise")(noise, 0.001, 5))
+    attempt.holds(len(cells) > 1, "a busy image is split", detail=f"got {len(cells)} cell")
     covered = torch.zeros(20, 28, dtype=torch.int64)
     for x, y, w, h in cells:
         covered[y : y + h, x : x + w] += 1
     detail = f"{int((covered != 1).sum())} pixels are not"
-    holds((covered == 1).all(), "every pixel is in exactly one leaf", on=on, detail=detail)
+    attempt.holds((covered == 1).all(), "every pixel is in exactly one leaf", detail=detail)
     small = [c for c in cells if min(c[2], c[3]) < 6]
     prop = "half sizes stay above min_cell_px = 5"
-    holds(not small, prop, on=on, detail=f"there is a leaf of {small[0][2:] if small else ''} pixels")
+    attempt.holds(not small, prop, detail=f"there is a leaf of {small[0][2:] if small else ''} pixels")
     wide, tall = "an image half grey, half noise", "the same image, turned by 90 degrees"
     above = "a cell is split where its contrast is above the threshold, and its four parts are those of split_cell"
     whole = "image_pixels is that of the whole image at every level"
@@ -233,15 +228,17 @@ def quadtree_leaves(attempt: Attempt) -> None:
         image = half if on == wide else half.transpose(0, 1).contiguous()
         cells = quadtree(image, threshold=threshold, min_cell_px=least)
         expected = set(zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True))
-        got = _as_cells(attempt.on(on)(image, threshold, least), on)
+        got = _as_cells(attempt, attempt.on(on)(image, threshold, least))
         detail = f"threshold {threshold}, min_cell_px {least}: {len(got)} leaves, expected {len(expected)}"
-        holds(got == expected, prop, on=on, detail=detail)
+        attempt.holds(got == expected, prop, detail=detail)
 
 
-def _as_cells(value: object, on: str) -> set[Cell]:
+def _as_cells(attempt: Attempt, value: object) -> set[Cell]:
     value = as_rows(value)
-    holds(isinstance(value, (list, tuple)), "it returns a list of cells", on=on, detail=f"got a {type(value).__name__}")
-    rows = [unpack(c, ("x0", "y0", "width", "height"), on=on) for c in value]  # pyright: ignore[reportGeneralTypeIssues]
+    attempt.holds(
+        isinstance(value, (list, tuple)), "it returns a list of cells", detail=f"got a {type(value).__name__}"
+    )
+    rows = [attempt.unpack(c, ("x0", "y0", "width", "height")) for c in value]  # pyright: ignore[reportGeneralTypeIssues]
     return {(int(x), int(y), int(w), int(h)) for x, y, w, h in rows}
 
 
@@ -306,25 +303,23 @@ def cell_to_gaussian(attempt: Attempt) -> None:
     names = ("xyz_W", "scale_m")
     on = "the cell (18, 11, 4, 8) around the image centre, depth 2 m, identity pose"
     flat = torch.full((30, 40), 2.0)
-    xyz, scale = unpack(attempt.on(on)(camera, (18, 11, 4, 8), flat, torch.eye(4)), names, on=on)
-    close(
-        xyz,
-        [0.0, 0.0, 2.0],
-        "seen from the world's origin, the Gaussian is on the ray through the middle of the cell",
-        on=on,
+    xyz, scale = attempt.unpack(attempt.on(on)(camera, (18, 11, 4, 8), flat, torch.eye(4)), names)
+    attempt.close(
+        xyz, [0.0, 0.0, 2.0], "seen from the world's origin, the Gaussian is on the ray through the middle of the cell"
     )
-    far = "the same cell on walls at 2 m and at 4 m"
-    _, scale_far = unpack(attempt.on(far)(camera, (18, 11, 4, 8), 2 * flat, torch.eye(4)), names, on=far)
+    attempt.on("the same cell on walls at 2 m and at 4 m")
+    _, scale_far = attempt.unpack(attempt(camera, (18, 11, 4, 8), 2 * flat, torch.eye(4)), names)
     prop = "on a wall twice as far the same cell is twice as large in metres"
-    close(float(scale_far) / float(scale), 2.0, prop, on=far, tolerance=1e-4)
-    right = 2.0 * math.hypot(2, 4) / 20
-    close(scale, right, "its standard deviation is half the diagonal, z r / fx", on=on, tolerance=1e-4)
-    on = "a cell of odd size on a slanted wall, camera turned and moved"
+    attempt.close(float(scale_far) / float(scale), 2.0, prop, tolerance=1e-4)
+    attempt.on(on).close(
+        scale, 2.0 * math.hypot(2, 4) / 20, "its standard deviation is half the diagonal, z r / fx", tolerance=1e-4
+    )
+    attempt.on("a cell of odd size on a slanted wall, camera turned and moved")
     slanted = 1.0 + 0.05 * torch.arange(40.0).expand(30, 40)
     T = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.4, -0.7, 0.2]))
     cell = (5, 7, 7, 5)
     expected = _gaussian(camera, cell, slanted, T)
-    xyz, scale = unpack(attempt.on(on)(camera, cell, slanted, T), names, on=on)
+    xyz, scale = attempt.unpack(attempt(camera, cell, slanted, T), names)
     prop = "the position is in the world frame, with the depth of the middle pixel, fx for x and fy for y"
-    close(xyz, expected[0], prop, on=on, tolerance=1e-4)
-    close(scale, expected[1], "the size uses the depth of the middle pixel", on=on, tolerance=1e-4)
+    attempt.close(xyz, expected[0], prop, tolerance=1e-4)
+    attempt.close(scale, expected[1], "the size uses the depth of the middle pixel", tolerance=1e-4)

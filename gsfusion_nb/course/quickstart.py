@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from ..data import open_sequence
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 
 def _first_seen(weight: Tensor, depth_m: Tensor) -> Tensor:
@@ -49,16 +49,13 @@ def _as_first_seen(yours: Yours, weight: Tensor, required_weight: float) -> Any:
 def first_seen(attempt: Attempt) -> None:
     """Which cells get a Gaussian: true or false for each, from its voxel's weight and its depth."""
     depth_m = torch.tensor([1.0, 1.0, 1.0])
-    on = "weights 1, 2 and 7, all with depth"
     why = "Fusion comes first: the weight is already 1 when this frame is the first. All three have depth"
-    got = attempt.on(on)(torch.tensor([1.0, 2.0, 7.0]), depth_m)
-    close(torch.as_tensor(got).double(), [1, 0, 0], "weight 1 gives a Gaussian, a larger weight none", on=on, why=why)
-    on = "weight 0: a point outside the volume"
-    got = attempt.on(on)(torch.tensor([0.0, 1.0]), depth_m[:2])
-    close(torch.as_tensor(got).double(), [0, 1], "weight 0, outside the map, gives no Gaussian", on=on)
-    on = "weight 1, depth 0"
-    got = attempt.on(on)(torch.tensor([1.0, 1.0]), torch.tensor([0.0, 2.0]))
-    close(torch.as_tensor(got).double(), [0, 1], "no depth, no Gaussian", on=on)
+    got = attempt.on("weights 1, 2 and 7, all with depth")(torch.tensor([1.0, 2.0, 7.0]), depth_m)
+    attempt.close(torch.as_tensor(got).double(), [1, 0, 0], "weight 1 gives a Gaussian, a larger weight none", why=why)
+    got = attempt.on("weight 0: a point outside the volume")(torch.tensor([0.0, 1.0]), depth_m[:2])
+    attempt.close(torch.as_tensor(got).double(), [0, 1], "weight 0, outside the map, gives no Gaussian")
+    got = attempt.on("weight 1, depth 0")(torch.tensor([1.0, 1.0]), torch.tensor([0.0, 2.0]))
+    attempt.close(torch.as_tensor(got).double(), [0, 1], "no depth, no Gaussian")
 
 
 def _psnr(rendered: Tensor, photo: Tensor) -> Tensor:
@@ -99,26 +96,25 @@ def psnr(attempt: Attempt) -> None:
     """PSNR of two pictures with values from 0 to 1, in dB."""
     generator = torch.Generator().manual_seed(0)
     photo = torch.rand(6, 8, 3, generator=generator, dtype=torch.float64)
-    on = "a picture that is too bright by 0.1 everywhere"
-    got = torch.as_tensor(attempt.on(on)(photo + 0.1, photo)).double()
+    got = torch.as_tensor(attempt.on("a picture that is too bright by 0.1 everywhere")(photo + 0.1, photo)).double()
     summed = 20 - 10 * math.log10(photo.numel())
     detail = f"got {float(got.mean()):.1f} dB, which is that of the sum"
-    holds(abs(float(got.mean()) - summed) > 1e-3, "it is a mean over all values, not a sum", on=on, detail=detail)
-    holds(
-        float(got.mean()) > 0, "more is better, and 0 dB is very bad", on=on, detail=f"got {float(got.mean()):.1f} dB"
+    attempt.holds(abs(float(got.mean()) - summed) > 1e-3, "it is a mean over all values, not a sum", detail=detail)
+    attempt.holds(
+        float(got.mean()) > 0, "more is better, and 0 dB is very bad", detail=f"got {float(got.mean()):.1f} dB"
     )
     why = "-10 log10(0.1^2) = 20"
-    close(got, 20.0, "off by 0.1 everywhere is 20 dB: the differences are squared", on=on, why=why)
+    attempt.close(got, 20.0, "off by 0.1 everywhere is 20 dB: the differences are squared", why=why)
     half = photo.clone()
     half[:3] += 0.1
-    on = "a picture of which one half is right and one half 0.1 too bright"
+    attempt.on("a picture of which one half is right and one half 0.1 too bright")
     why = "The logarithm comes after the mean; otherwise one perfect pixel dominates all others"
     expected = -10 * torch.log10(torch.tensor(0.005, dtype=torch.float64))
-    got = torch.as_tensor(attempt.on(on)(half, photo)).double()
+    got = torch.as_tensor(attempt(half, photo)).double()
     not_squared = abs(float(got.mean()) + 20 * math.log10(0.05)) < 1e-3
     detail = f"got {float(got.mean()):.2f} dB, which is that of the mean absolute difference"
-    holds(not not_squared, "the differences are squared before they are averaged", on=on, detail=detail)
-    close(got, expected, "one mean over the whole picture", on=on, why=why)
+    attempt.holds(not not_squared, "the differences are squared before they are averaged", detail=detail)
+    attempt.close(got, expected, "one mean over the whole picture", why=why)
 
 
 def _exam(n: int, every: int, offset: int) -> list[int]:
@@ -155,23 +151,18 @@ def exam_frames(attempt: Attempt) -> None:
     def chosen(on: str, n: int, every: int, offset: int) -> list[int]:
         return [int(i) for i in attempt.on(on)(n, every, offset)]
 
-    on = "80 frames, every 8th, offset 4"
-    got = chosen(on, 80, 8, 4)
+    got = chosen("80 frames, every 8th, offset 4", 80, 8, 4)
     detail = f"got {len(got)} frames: {str(got[:8])[1:-1]} ..."
-    holds(len(got) <= 40, "one in every eight is held out, the others are mapped", on=on, detail=detail)
-    holds(
-        not got or max(got) - min(got) > 40, "the held-out frames are spread over the whole walk", on=on, detail=detail
+    attempt.holds(len(got) <= 40, "one in every eight is held out, the others are mapped", detail=detail)
+    attempt.holds(
+        not got or max(got) - min(got) > 40, "the held-out frames are spread over the whole walk", detail=detail
     )
-    holds(0 not in got, "the first frame is mapped: the map begins there", on=on, detail=detail)
-    close(
-        got,
-        open_sequence("room", n_frames=80).held_out.positions,
-        "the held-out frames are those of the library",
-        on=on,
+    attempt.holds(0 not in got, "the first frame is mapped: the map begins there", detail=detail)
+    attempt.close(
+        got, open_sequence("room", n_frames=80).held_out.positions, "the held-out frames are those of the library"
     )
     on = "3 frames, every 8th, offset 4: the walk ends before the first held-out frame"
-    close(len(chosen(on, 3, 8, 4)), 0, "a short walk has no held-out frame", on=on)
-    on = "11 frames, every 5th, offset 2"
-    close(chosen(on, 11, 5, 2), [2, 7], "counted from the offset", on=on)
+    attempt.close(len(chosen(on, 3, 8, 4)), 0, "a short walk has no held-out frame")
+    attempt.close(chosen("11 frames, every 5th, offset 2", 11, 5, 2), [2, 7], "counted from the offset")
     on = "9 frames, every 4th, offset 0"
-    close(chosen(on, 9, 4, 0), [0, 4, 8], "with offset 0, frame 0 is the first held-out frame", on=on)
+    attempt.close(chosen(on, 9, 4, 0), [0, 4, 8], "with offset 0, frame 0 is the first held-out frame")

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from ..geometry import se3
-from .exercise import Attempt, Wrong, close, exercise, holds
+from .exercise import Attempt, Wrong, exercise
 
 
 def _depth_factor(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
@@ -44,19 +44,17 @@ def depth_factor(attempt: Attempt) -> None:
     aside = torch.tensor([0.2, 0.0, 0.0], dtype=torch.float64)
     a_m = torch.rand(40, 3, generator=generator, dtype=torch.float64) + torch.tensor([-0.5, -0.5, 2.0]).double()
     eye = torch.eye(3, dtype=torch.float64)
-    on = "depth in millimetres, the points 20 cm to the right in the second camera"
-    got = attempt.on(on)(1000 * a_m, 1000 * (a_m + aside), eye, aside)
-    close(got, 0.001, "metres for one stored unit", on=on, tolerance=1e-6, why="a millimetre is 0.001 m")
+    attempt.on("depth in millimetres, the points 20 cm to the right in the second camera")
+    got = attempt(1000 * a_m, 1000 * (a_m + aside), eye, aside)
+    attempt.close(got, 0.001, "metres for one stored unit", tolerance=1e-6, why="a millimetre is 0.001 m")
     R = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.05, 0.3, -0.1], dtype=torch.float64))[:3, :3]
     t = torch.tensor([0.1, -0.05, 0.2], dtype=torch.float64)
-    on = "a camera that also turns, depth too small by 5"
-    got = attempt.on(on)(a_m / 5, (a_m @ R.T + t) / 5, R, t)
-    close(got, 5.0, "the turn of the camera is taken out", on=on, tolerance=1e-6, why="b is compared with R a")
+    got = attempt.on("a camera that also turns, depth too small by 5")(a_m / 5, (a_m @ R.T + t) / 5, R, t)
+    attempt.close(got, 5.0, "the turn of the camera is taken out", tolerance=1e-6, why="b is compared with R a")
     many = torch.rand(4000, 3, generator=generator, dtype=torch.float64) + torch.tensor([-0.5, -0.5, 2.0]).double()
     noise = 0.1 * torch.randn(2, 4000, 3, generator=generator, dtype=torch.float64)
-    on = "4,000 points with a noise of 10 cm"
-    got = attempt.on(on)((many + noise[0]) / 5, (many @ R.T + t + noise[1]) / 5, R, t)
-    close(got, 5.0, "noise does not make it smaller", on=on, tolerance=0.25, why="average b - R a before you divide")
+    got = attempt.on("4,000 points with a noise of 10 cm")((many + noise[0]) / 5, (many @ R.T + t + noise[1]) / 5, R, t)
+    attempt.close(got, 5.0, "noise does not make it smaller", tolerance=0.25, why="average b - R a before you divide")
 
 
 def _pose_shift(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
@@ -127,8 +125,8 @@ def pose_shift(attempt: Attempt) -> None:
 
     def ask(on: str, image_motion: Tensor, pose_motion: Tensor, k: int, prop: str, reach: int = 3) -> None:
         got = attempt.on(on)(image_motion, pose_motion, reach)
-        holds(isinstance(got, (int, float, Tensor)), "it returns a number", on=on, detail=f"got {got!r}")
-        holds(float(got) == k, prop, on=on, detail=f"got {float(got):g}, expected {k}")
+        attempt.holds(isinstance(got, (int, float, Tensor)), "it returns a number", detail=f"got {got!r}")
+        attempt.holds(float(got) == k, prop, detail=f"got {float(got):g}, expected {k}")
 
     generator = torch.Generator().manual_seed(5)
     curve = torch.rand(46, generator=generator, dtype=torch.float64)
@@ -230,10 +228,10 @@ def tell_apart(attempt: Attempt) -> None:
     )  # fmt: skip
     for on, first, second, T_ba, expected, prop in cases:
         got = attempt.on(on)(first + noise[0], second + noise[1], T_ba, 0.005)
-        holds(got in ("fits", "poses", "points"), "it returns one of the three words", on=on, detail=f"got {got!r}")
-        holds(got == expected, prop, on=on, detail=f"got {got!r}, expected {expected!r}")
-    on = "noise of 5 cm, and a pose 1 m beside the true one"
+        attempt.holds(got in ("fits", "poses", "points"), "it returns one of the three words", detail=f"got {got!r}")
+        attempt.holds(got == expected, prop, detail=f"got {got!r}, expected {expected!r}")
+    attempt.on("noise of 5 cm, and a pose 1 m beside the true one")
     aside[0, 3] += 0.9
-    got = attempt.on(on)(a + 10 * noise[0], b + 10 * noise[1], aside, 0.05)
+    got = attempt(a + 10 * noise[0], b + 10 * noise[1], aside, 0.05)
     prop = "what counts as small is a multiple of noise_m, for the given pose and for the best one"
-    holds(got == "poses", prop, on=on, detail=f"got {got!r}, expected 'poses'")
+    attempt.holds(got == "poses", prop, detail=f"got {got!r}, expected 'poses'")

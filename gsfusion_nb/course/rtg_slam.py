@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from ..gaussians import surfels
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 MIN_COSINE = 0.5
 MIN_TRANSMITTANCE, DEPTH_ERROR_M, COLOUR_ERROR = 0.5, 0.1, 0.1
@@ -65,36 +65,35 @@ def _as_disc_hit(yours: Yours, r: Tensor, p: Tensor, n: Tensor, min_cosine: floa
 def disc_hit(attempt: Attempt) -> None:
     """Depth at which a ray meets a disc (Eq. 4-5)."""
     ahead, back = torch.tensor([0.0, 0.0, 2.0]), torch.tensor([0.0, 0.0, -1.0])
-    on = "a disc 2 m ahead that faces the camera, ray (0.3, 0, 1)"
+    attempt.on("a disc 2 m ahead that faces the camera, ray (0.3, 0, 1)")
     ray = torch.tensor([0.3, 0.0, 1.0])
-    close(attempt.on(on)(ray, ahead, back), 2.0, "depth is z, not the distance along the ray", on=on)
+    attempt.close(attempt(ray, ahead, back), 2.0, "depth is z, not the distance along the ray")
     leaning = torch.tensor([-0.6, 0.0, -0.8])
-    on = "a disc 2 m ahead, tilted by 37 degrees, ray (0.2, 0, 1)"
     ray = torch.tensor([0.2, 0.0, 1.0])
-    got = attempt.on(on)(ray, ahead, -leaning)
-    close(got, 1.6 / 0.92, "a tilted disc is nearer on one side than on the other", on=on, why="Eq. 4: p.n / r.n")
-    on = "the same with the normal turned round"
-    close(attempt.on(on)(ray, ahead, leaning), 1.6 / 0.92, "a normal may point either way", on=on, why="use |r.n|")
-    on = "the same ray, normalised"
-    close(attempt.on(on)(ray / ray.norm(), ahead, leaning), 1.6 / 0.92, "the length of the ray does not matter", on=on)
-    on = "a disc turned 80 degrees, ray (0.2, 0, 1)"
+    got = attempt.on("a disc 2 m ahead, tilted by 37 degrees, ray (0.2, 0, 1)")(ray, ahead, -leaning)
+    attempt.close(got, 1.6 / 0.92, "a tilted disc is nearer on one side than on the other", why="Eq. 4: p.n / r.n")
+    attempt.on("the same with the normal turned round")
+    attempt.close(attempt(ray, ahead, leaning), 1.6 / 0.92, "a normal may point either way", why="use |r.n|")
+    attempt.on("the same ray, normalised")
+    attempt.close(attempt(ray / ray.norm(), ahead, leaning), 1.6 / 0.92, "the length of the ray does not matter")
+    attempt.on("a disc turned 80 degrees, ray (0.2, 0, 1)")
     flat = torch.tensor([-0.9848, 0.0, -0.1736])
     prop = "beyond 60 degrees the depth of the centre is used"
-    close(attempt.on(on)(ray, ahead, torch.tensor([0.9848, 0.0, -0.1736])), 2.0, prop, on=on)
-    on = "a disc turned 80 degrees, to the other side"
-    close(attempt.on(on)(torch.tensor([0.0, 0.1, 1.0]), ahead, flat), 2.0, prop, on=on)
-    on = "a disc to the right of the axis, turned by 80 degrees"
+    attempt.close(attempt(ray, ahead, torch.tensor([0.9848, 0.0, -0.1736])), 2.0, prop)
+    attempt.on("a disc turned 80 degrees, to the other side")
+    attempt.close(attempt(torch.tensor([0.0, 0.1, 1.0]), ahead, flat), 2.0, prop)
+    attempt.on("a disc to the right of the axis, turned by 80 degrees")
     edge_on = torch.tensor([0.9848, 0.0, 0.1736])
-    got = attempt.on(on)(torch.tensor([0.2, 0.0, 1.0]), torch.tensor([0.8, 0.0, 2.0]), edge_on)
-    close(got, 2.0, "beyond 60 degrees the depth of the centre is used: its z, not its distance", on=on)
+    got = attempt(torch.tensor([0.2, 0.0, 1.0]), torch.tensor([0.8, 0.0, 2.0]), edge_on)
+    attempt.close(got, 2.0, "beyond 60 degrees the depth of the centre is used: its z, not its distance")
     side, straight = torch.tensor([0.2, 0.0, 2.0]), torch.tensor([0.0, 0.0, 1.0])
     for degrees, expected in ((57, 2.0 + 0.2 * math.tan(math.radians(57))), (63, 2.0)):
         tilt = math.radians(degrees)
         for length in (0.3, 1.0, 3.0):
-            on = f"a disc beside the axis turned by {degrees} degrees, ray (0, 0, {length:g})"
-            got = attempt.on(on)(length * straight, side, torch.tensor([math.sin(tilt), 0.0, math.cos(tilt)]))
+            attempt.on(f"a disc beside the axis turned by {degrees} degrees, ray (0, 0, {length:g})")
+            got = attempt(length * straight, side, torch.tensor([math.sin(tilt), 0.0, math.cos(tilt)]))
             limit = "the plane counts up to 60 degrees between ray and normal, whatever the ray's length"
-            close(got, expected, limit, on=on, tolerance=1e-4, why="|r.n| / |r| is the cosine; compare it with 0.5")
+            attempt.close(got, expected, limit, tolerance=1e-4, why="|r.n| / |r| is the cosine; compare it with 0.5")
 
 
 def _adding_masks(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
@@ -155,37 +154,36 @@ def adding_masks(attempt: Attempt) -> None:
 
     def ask(on: str, T: list[float], seen: list[float], D: list[float], C: Tensor) -> tuple[Any, Any]:
         maps = [torch.tensor([row]) for row in (T, seen, D)]
-        got = unpack(attempt.on(on)(*maps, grey, C), names, on=on)
+        got = attempt.unpack(attempt.on(on)(*maps, grey, C), names)
         for mask in got:
             right = isinstance(mask, Tensor) and mask.dtype == torch.bool and mask.shape == (1, 5)
-            holds(right, "the masks are boolean", on=on, detail="expected two bool tensors [H, W]")
+            attempt.holds(right, "the masks are boolean", detail="expected two bool tensors [H, W]")
         return got
 
     on = "five pixels: right, unseen, 20 cm too far, 20 cm too near, unseen and wrong"
     surface, colour = ask(on, [0.0, 0.9, 0.0, 0.0, 0.9], [2.0, 2.0, 2.2, 1.8, 2.5], [2.0] * 5, grey)
-    holds(surface[0, 1] and surface[0, 2], "either reason is enough", on=on, detail=f"M_s is {surface.tolist()}")
-    holds(surface[0, 3], "too near is as wrong as too far", on=on, detail="the fourth pixel is not in M_s: use |.|")
-    close(surface, [[0, 1, 1, 1, 1]], "M_s = new or wrong in depth", on=on)
-    close(colour, [[0] * 5], "where the colours agree M_c is empty", on=on)
+    attempt.holds(surface[0, 1] and surface[0, 2], "either reason is enough", detail=f"M_s is {surface.tolist()}")
+    attempt.holds(surface[0, 3], "too near is as wrong as too far", detail="the fourth pixel is not in M_s: use |.|")
+    attempt.close(surface, [[0, 1, 1, 1, 1]], "M_s = new or wrong in depth")
+    attempt.close(colour, [[0] * 5], "where the colours agree M_c is empty")
     other = grey.clone()
     other[0, 1:] = torch.tensor([0.8, 0.5, 0.8])
     on = "the same, with a wrong colour in all but the first, and the second in the map now"
     surface, colour = ask(on, [0.0, 0.0, 0.0, 0.0, 0.9], [2.0, 2.0, 2.2, 1.8, 2.5], [2.0] * 5, other)
-    holds(not (surface & colour).any(), "no pixel is in both", on=on, detail=f"M_c is {colour.tolist()}")
-    close(colour, [[0, 1, 0, 0, 0]], "M_c = wrong in colour only", on=on)
+    attempt.holds(not (surface & colour).any(), "no pixel is in both", detail=f"M_c is {colour.tolist()}")
+    attempt.close(colour, [[0, 1, 0, 0, 0]], "M_c = wrong in colour only")
     on = "transmittance 0.45 and 0.55, depth 8 cm and 12 cm off, a surface 40 cm from the camera that nothing covers"
     surface, colour = ask(on, [0.45, 0.55, 0.0, 0.0, 0.9], [2.0, 2.0, 2.08, 2.12, 0.0], [2.0, 2.0, 2.0, 2.0, 0.4], grey)
-    close(surface[:, :4], [[0, 1, 0, 1]], "the limits are 0.5 for T and 10 cm for the depth", on=on)
+    attempt.close(surface[:, :4], [[0, 1, 0, 1]], "the limits are 0.5 for T and 10 cm for the depth")
     detail = "the fifth pixel is missing: D is the measured depth, D_map that of the map"
-    holds(surface[0, 4], "what is measured counts, near or far, where the map has nothing", on=on, detail=detail)
+    attempt.holds(surface[0, 4], "what is measured counts, near or far, where the map has nothing", detail=detail)
     on = "colours that are off by 0.08 and 0.12 on average, and by 0.24 in one channel of three"
     nearly = grey.clone()
     nearly[0, 1], nearly[0, 2], nearly[0, 3, 0] = grey[0, 1] + 0.08, grey[0, 2] - 0.12, 0.74
     _, colour = ask(on, [0.0] * 5, [2.0] * 5, [2.0] * 5, nearly)
-    close(colour, [[0, 0, 1, 0, 0]], "the colour error is the mean of the three channels, and its limit is 0.1", on=on)
-    on = "the same without any measured depth"
-    surface, colour = ask(on, [0.9] * 5, [0.0] * 5, [0.0] * 5, other)
-    holds(not (surface | colour).any(), "no disc where nothing was measured", on=on, detail="need D > 0 in both masks")
+    attempt.close(colour, [[0, 0, 1, 0, 0]], "the colour error is the mean of the three channels, and its limit is 0.1")
+    surface, colour = ask("the same without any measured depth", [0.9] * 5, [0.0] * 5, [0.0] * 5, other)
+    attempt.holds(not (surface | colour).any(), "no disc where nothing was measured", detail="need D > 0 in both masks")
 
 
 STAYS, BECOMES_STABLE, BECOMES_UNSTABLE, DELETED = "stays", "becomes stable", "becomes unstable", "is deleted"
@@ -281,9 +279,9 @@ def next_state(attempt: Attempt) -> None:
         ((True, 400, 2, 1000), STAYS, "a stable one is never too old"),
     )
     for (stable, eta, errors, age), expected, prop in cases:
-        on = f"{'stable' if stable else 'unstable'}, eta {eta}, {errors} errors, {age} frames old"
-        got = attempt.on(on)(stable, eta, errors, age)
-        holds(got == expected, prop, on=on, detail=f"got {got!r}, expected {expected!r}")
+        attempt.on(f"{'stable' if stable else 'unstable'}, eta {eta}, {errors} errors, {age} frames old")
+        got = attempt(stable, eta, errors, age)
+        attempt.holds(got == expected, prop, detail=f"got {got!r}, expected {expected!r}")
 
 
 def _fuse(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
@@ -340,23 +338,18 @@ def _as_fuse(
 def fuse(attempt: Attempt) -> None:
     """Merge the values after an optimisation window with those before it (Eq. 9)."""
     before, after = torch.tensor([[0.0, 4.0]]), torch.tensor([[1.0, 0.0]])
-    on = "eta 0 before, 20 after"
-    got = attempt.on(on)(before, after, torch.tensor([0]), torch.tensor([20]))
-    close(got, after, "a new Gaussian takes the values from the window", on=on)
-    on = "eta 30 before, 40 after"
-    got = attempt.on(on)(before, after, torch.tensor([30]), torch.tensor([40]))
+    got = attempt.on("eta 0 before, 20 after")(before, after, torch.tensor([0]), torch.tensor([20]))
+    attempt.close(got, after, "a new Gaussian takes the values from the window")
+    got = attempt.on("eta 30 before, 40 after")(before, after, torch.tensor([30]), torch.tensor([40]))
     why = "10 of the 40 steps were made in this window: w_curr = 1/4"
-    close(got, [[0.25, 3.0]], "the newer values are weighted by their share of the steps", on=on, why=why)
-    on = "eta 50 before and after: seen by no view of this window"
-    got = attempt.on(on)(before, after, torch.tensor([50]), torch.tensor([50]))
-    close(got, before, "without steps nothing changes", on=on)
-    on = "eta 0 before and after"
-    got = attempt.on(on)(before, before, torch.tensor([0]), torch.tensor([0]))
-    close(got, before, "a Gaussian never seen does not change", on=on, why="do not divide by zero")
-    on = "eta 0 before and 1 after"
-    got = attempt.on(on)(before, after, torch.tensor([0]), torch.tensor([1]))
-    close(got, after, "one step is enough to take the values from the window", on=on, why="eta_after is 1: w_curr = 1")
-    on = "two rows at once"
+    attempt.close(got, [[0.25, 3.0]], "the newer values are weighted by their share of the steps", why=why)
+    attempt.on("eta 50 before and after: seen by no view of this window")
+    got = attempt(before, after, torch.tensor([50]), torch.tensor([50]))
+    attempt.close(got, before, "without steps nothing changes")
+    got = attempt.on("eta 0 before and after")(before, before, torch.tensor([0]), torch.tensor([0]))
+    attempt.close(got, before, "a Gaussian never seen does not change", why="do not divide by zero")
+    got = attempt.on("eta 0 before and 1 after")(before, after, torch.tensor([0]), torch.tensor([1]))
+    attempt.close(got, after, "one step is enough to take the values from the window", why="eta_after is 1: w_curr = 1")
     both = [torch.cat([x, x]) for x in (before, after)]
-    got = attempt.on(on)(*both, torch.tensor([0, 30]), torch.tensor([20, 40]))
-    close(got, [[1.0, 0.0], [0.25, 3.0]], "every row has its own weight", on=on)
+    got = attempt.on("two rows at once")(*both, torch.tensor([0, 30]), torch.tensor([20, 40]))
+    attempt.close(got, [[1.0, 0.0], [0.25, 3.0]], "every row has its own weight")

@@ -9,7 +9,7 @@ from ..config import SeedingConfig, TsdfConfig
 from ..geometry import pixel_grid, project, se3
 from ..seeding import SeedContext, SeedingRule, check_contexts, check_rule
 from ..types import Camera, Frame, GaussianParams, Seeds
-from .exercise import Attempt, Failed, Wrong, close, exercise, holds
+from .exercise import Attempt, Failed, Wrong, exercise
 
 
 def wall_context(covered: str = "nothing") -> SeedContext:
@@ -86,34 +86,36 @@ def _raster_positional(ctx: SeedContext, step_px: int = 8) -> Seeds:
 )  # fmt: skip
 def raster_rule(attempt: Attempt) -> None:
     """A rule that seeds on a regular raster of pixels."""
-    on = "a wall 2 m away, 64 x 48, every 8 pixels"
     ctx = wall_context()
     check_rule(_raster)
-    seeds = _seeds(attempt.on(on)(ctx), on)
+    seeds = _seeds(attempt, attempt.on("a wall 2 m away, 64 x 48, every 8 pixels")(ctx))
     _contract(attempt.watched)
-    close(len(seeds), 48, "one seed for every step_px x step_px pixels", on=on)
-    close(seeds.scale_m[:, 0], torch.full((48,), 2.0 * 4 / 60), "a seed is as large as its square: half the side",
-          on=on, why="In metres that is z x radius_px / fx")  # fmt: skip
-    _one_in_the_middle_of_each(seeds, ctx, 8, on)
-    on = "the same, every 16 pixels"
-    seeds = _seeds(attempt.on(on)(ctx, step_px=16), on)
-    close(len(seeds), 12, "the option step_px sets the distance", on=on)
-    close(seeds.scale_m[:, 0], torch.full((12,), 2.0 * 8 / 60), "the size grows with step_px", on=on)
-    _one_in_the_middle_of_each(seeds, ctx, 16, on)
+    attempt.close(len(seeds), 48, "one seed for every step_px x step_px pixels")
+    attempt.close(
+        seeds.scale_m[:, 0],
+        torch.full((48,), 2.0 * 4 / 60),
+        "a seed is as large as its square: half the side",
+        why="In metres that is z x radius_px / fx",
+    )
+    _one_in_the_middle_of_each(attempt, seeds, ctx, 8)
+    seeds = _seeds(attempt, attempt.on("the same, every 16 pixels")(ctx, step_px=16))
+    attempt.close(len(seeds), 12, "the option step_px sets the distance")
+    attempt.close(seeds.scale_m[:, 0], torch.full((12,), 2.0 * 8 / 60), "the size grows with step_px")
+    _one_in_the_middle_of_each(attempt, seeds, ctx, 16)
 
 
-def _one_in_the_middle_of_each(seeds: Seeds, ctx: SeedContext, step_px: int, on: str) -> None:
+def _one_in_the_middle_of_each(attempt: Attempt, seeds: Seeds, ctx: SeedContext, step_px: int) -> None:
     """Each square of the raster has its seed within a pixel of its middle, with the colour of a pixel there."""
     u, v = project(ctx.camera, se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W)).unbind(-1)
     square = (v / step_px).floor() * (ctx.camera.width // step_px) + (u / step_px).floor()
     prop = "the seeds stand on a regular raster: one in the middle of each square"
     hit = len(square.unique())
-    holds(hit == len(seeds), prop, on=on, detail=f"{len(seeds)} seeds stand in {hit} different squares")
+    attempt.holds(hit == len(seeds), prop, detail=f"{len(seeds)} seeds stand in {hit} different squares")
     off = torch.stack([u, v]).remainder(step_px) - step_px / 2
     worst = float(off.abs().max())
-    holds(worst <= 1.01, prop, on=on, detail=f"a seed is {worst:.1f} pixels beside the middle of its square")
+    attempt.holds(worst <= 1.01, prop, detail=f"a seed is {worst:.1f} pixels beside the middle of its square")
     photo = ctx.frame.rgb[v.long(), u.long()]
-    close(seeds.rgb, photo, "a seed has the colour of the pixel below it", on=on, tolerance=1e-4)
+    attempt.close(seeds.rgb, photo, "a seed has the colour of the pixel below it", tolerance=1e-4)
 
 
 def _where_empty(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
@@ -162,27 +164,29 @@ def _where_swapped(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
 )  # fmt: skip
 def silhouette_rule(attempt: Attempt) -> None:
     """Seed where the map is still transparent (SplaTAM's silhouette) instead of testing the TSDF."""
-    on = "a wall, and an empty map"
+    attempt.on("a wall, and an empty map")
     ctx = wall_context(covered="nothing")
     all_cells = ctx.cells()
     check_rule(_where_empty)
-    close(len(_seeds(attempt.on(on)(ctx), on)), len(all_cells), "with an empty map every cell is seeded", on=on)
+    attempt.close(len(_seeds(attempt, attempt(ctx))), len(all_cells), "with an empty map every cell is seeded")
     on = "a wall whose upper left quarter has opaque Gaussians"
     ctx = wall_context(covered="quarter")
-    seeds = _seeds(attempt.on(on)(ctx), on)
+    seeds = _seeds(attempt, attempt.on(on)(ctx))
     inside = (seeds.xyz_W[:, 0] < -0.2) & (seeds.xyz_W[:, 1] < -0.2)
     outside = all_cells.xyz_W[(all_cells.xyz_W[:, 0] > 0.2) | (all_cells.xyz_W[:, 1] > 0.2)]
     got = seeds.xyz_W[(seeds.xyz_W[:, 0] > 0.2) | (seeds.xyz_W[:, 1] > 0.2)]
     prop = "an image is indexed [row y, column x]: every cell of the empty part is seeded"
-    close(len(got), len(outside), prop, on=on)
-    holds(not inside.any(), "where the map is opaque already, nothing is seeded", on=on,
-          detail=f"{int(inside.sum())} seeds lie in the covered quarter")  # fmt: skip
+    attempt.close(len(got), len(outside), prop)
+    attempt.holds(
+        not inside.any(),
+        "where the map is opaque already, nothing is seeded",
+        detail=f"{int(inside.sum())} seeds lie in the covered quarter",
+    )
     for max_alpha in (0.02, 0.9, 1.1):
-        limited = f"{on}, max_alpha = {max_alpha}"
-        got, expected = (len(_seeds(rule(ctx, max_alpha=max_alpha), limited))
-                         for rule in (attempt.on(limited), _where_empty))  # fmt: skip
+        attempt.on(f"{on}, max_alpha = {max_alpha}")
+        got, expected = (len(_seeds(attempt, rule(ctx, max_alpha=max_alpha))) for rule in (attempt, _where_empty))
         prop = "max_alpha is the limit: cells with a smaller alpha are seeded"
-        holds(got == expected, prop, on=limited, detail=f"{got} seeds, expected {expected}")
+        attempt.holds(got == expected, prop, detail=f"{got} seeds, expected {expected}")
     _contract(attempt.watched)
 
 
@@ -219,25 +223,25 @@ def pareto_rules(attempt: Attempt) -> None:
 
     def front(on: str, n: list[float], psnr: list[float]) -> list[bool]:
         got = torch.as_tensor(attempt.on(on)(torch.tensor(n), torch.tensor(psnr)))
-        close(list(got.shape), [len(n)], "one answer per rule", on=on)
+        attempt.close(list(got.shape), [len(n)], "one answer per rule")
         return [bool(b) for b in got]
 
     on = "1,000 Gaussians with 20 dB, 5,000 with 25 dB, 9,000 with 24 dB"
     got = front(on, [1000.0, 5000.0, 9000.0], [20.0, 25.0, 24.0])
-    holds(got[:2] == [True, True], "both ends of the front count: the smallest map and the best picture", on=on,
-          detail=f"got {got}, expected [True, True, False]")  # fmt: skip
-    holds(not got[2], "a rule with more Gaussians and a worse picture is beaten", on=on, detail=f"got {got}")
-    on = "3,000 with 22 dB and 6,000 with 22 dB"
-    got = front(on, [3000.0, 6000.0], [22.0, 22.0])
-    holds(got == [True, False], "of two equally good pictures the smaller map wins", on=on, detail=f"got {got}")
-    on = "two maps of 3,000, with 22 and 25 dB"
-    got = front(on, [3000.0, 3000.0], [22.0, 25.0])
-    holds(got == [False, True], "of two equally large maps the better picture wins", on=on, detail=f"got {got}")
+    attempt.holds(
+        got[:2] == [True, True],
+        "both ends of the front count: the smallest map and the best picture",
+        detail=f"got {got}, expected [True, True, False]",
+    )
+    attempt.holds(not got[2], "a rule with more Gaussians and a worse picture is beaten", detail=f"got {got}")
+    got = front("3,000 with 22 dB and 6,000 with 22 dB", [3000.0, 6000.0], [22.0, 22.0])
+    attempt.holds(got == [True, False], "of two equally good pictures the smaller map wins", detail=f"got {got}")
+    got = front("two maps of 3,000, with 22 and 25 dB", [3000.0, 3000.0], [22.0, 25.0])
+    attempt.holds(got == [False, True], "of two equally large maps the better picture wins", detail=f"got {got}")
     on = "two rules with the same numbers"
-    holds(
+    attempt.holds(
         front(on, [3.0, 3.0], [22.0, 22.0]) == [True, True],
         "a rule does not beat an equal one",
-        on=on,
         detail="one is missing",
     )
 
@@ -255,7 +259,7 @@ def _contract(rule: SeedingRule) -> None:
         raise Failed("it runs", on, f"it raised {type(e).__name__}: {e}") from e
 
 
-def _seeds(value: object, on: str) -> Seeds:
+def _seeds(attempt: Attempt, value: object) -> Seeds:
     if not isinstance(value, Seeds):
-        raise Failed("it returns Seeds", on, f"it returned a {type(value).__name__}")
+        raise Failed("it returns Seeds", attempt.words, f"it returned a {type(value).__name__}")
     return value

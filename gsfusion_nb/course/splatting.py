@@ -12,7 +12,7 @@ from ..render.constants import SCREEN_BLUR_PX2, TILE_PX
 from ..render.project import Projection
 from ..render.tiles import TileLists
 from ..types import Camera
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 _C1 = math.sqrt(3 / (4 * math.pi))
 
@@ -59,26 +59,22 @@ def covariance_2d(attempt: Attempt) -> None:
     """Project the covariance of a Gaussian onto the image: J cov J^T + 0.3 I."""
     f64 = torch.float64
     axis = torch.tensor([0.0, 0.0, 2.0], dtype=f64)
-    on = "a point-like Gaussian 2 m ahead"
-    got = attempt.on(on)(axis, torch.zeros(3, 3, dtype=f64), 100.0, 100.0)
+    got = attempt.on("a point-like Gaussian 2 m ahead")(axis, torch.zeros(3, 3, dtype=f64), 100.0, 100.0)
     why = "add 0.3 px^2 to the diagonal"
-    close(got, 0.3 * torch.eye(2), "a Gaussian too small to see is still about a pixel wide", on=on, why=why)
-    on = "a ball of standard deviation 10 cm, 2 m ahead, f = 100 px"
-    got = attempt.on(on)(axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 100.0)
-    close(got, 25.3 * torch.eye(2), "a ball straight ahead gives a circle of (f s / z)^2 + 0.3", on=on)
-    on = "a needle along z, 1 m to the right"
+    attempt.close(got, 0.3 * torch.eye(2), "a Gaussian too small to see is still about a pixel wide", why=why)
+    attempt.on("a ball of standard deviation 10 cm, 2 m ahead, f = 100 px")
+    got = attempt(axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 100.0)
+    attempt.close(got, 25.3 * torch.eye(2), "a ball straight ahead gives a circle of (f s / z)^2 + 0.3")
     needle, right = torch.diag(torch.tensor([0.0, 0.0, 0.04], dtype=f64)), torch.tensor([1.0, 0.0, 2.0], dtype=f64)
-    got = attempt.on(on)(right, needle, 100.0, 100.0)
+    got = attempt.on("a needle along z, 1 m to the right")(right, needle, 100.0, 100.0)
     why = "J needs its third column, du/dz = -fx x / z^2"
-    close(got, [[25.3, 0.0], [0.0, 0.3]], "off the axis, extent along z widens the ellipse", on=on, why=why)
-    on = "a ball, fx = 100 px and fy = 50 px"
-    got = attempt.on(on)(axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 50.0)
-    close(got, [[25.3, 0.0], [0.0, 6.55]], "fy acts on v", on=on)
-    on = "a tilted Gaussian off both axes"
+    attempt.close(got, [[25.3, 0.0], [0.0, 0.3]], "off the axis, extent along z widens the ellipse", why=why)
+    got = attempt.on("a ball, fx = 100 px and fy = 50 px")(axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 50.0)
+    attempt.close(got, [[25.3, 0.0], [0.0, 6.55]], "fy acts on v")
     xyz = torch.tensor([0.4, -0.3, 1.5], dtype=f64)
     L = torch.tensor([[0.2, 0.0, 0.0], [0.1, 0.1, 0.0], [-0.05, 0.2, 0.3]], dtype=f64)
-    got = attempt.on(on)(xyz, L @ L.T, 90.0, 110.0)
-    close(got, _covariance_2d(xyz, L @ L.T, 90.0, 110.0), "cov_2D = J cov J^T + 0.3 I", on=on)
+    got = attempt.on("a tilted Gaussian off both axes")(xyz, L @ L.T, 90.0, 110.0)
+    attempt.close(got, _covariance_2d(xyz, L @ L.T, 90.0, 110.0), "cov_2D = J cov J^T + 0.3 I")
 
 
 def _composite_pixel(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
@@ -136,34 +132,33 @@ def composite_pixel(attempt: Attempt) -> None:
     """Blend the sorted Gaussians of one pixel, nearest first."""
     names = ("colour", "light left")
     red, green = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
-    on = "one red Gaussian of alpha 0.5"
-    colour, left = unpack(attempt.on(on)(torch.tensor([0.5]), torch.tensor([red])), names, on=on)
+    attempt.on("one red Gaussian of alpha 0.5")
+    colour, left = attempt.unpack(attempt(torch.tensor([0.5]), torch.tensor([red])), names)
     red_is = float(torch.as_tensor(colour)[0])
     detail = f"red is {red_is:.3g}, expected 0.5: alpha 0.5 covers one half, and nothing is divided by the weights"
-    holds(red_is < 0.99, "what is not covered stays black", on=on, detail=detail)
+    attempt.holds(red_is < 0.99, "what is not covered stays black", detail=detail)
     why = "T in front of a Gaussian does not contain its own alpha"
-    close(colour, [0.5, 0.0, 0.0], "nothing is in front of the first one", on=on, why=why)
-    close(left, 0.5, "behind alpha 0.5 half of the light is left", on=on)
-    on = "red alpha 0.8 in front of green alpha 0.5"
-    colour, left = unpack(attempt.on(on)(torch.tensor([0.8, 0.5]), torch.tensor([red, green])), names, on=on)
+    attempt.close(colour, [0.5, 0.0, 0.0], "nothing is in front of the first one", why=why)
+    attempt.close(left, 0.5, "behind alpha 0.5 half of the light is left")
+    attempt.on("red alpha 0.8 in front of green alpha 0.5")
+    colour, left = attempt.unpack(attempt(torch.tensor([0.8, 0.5]), torch.tensor([red, green])), names)
     red_and_green = torch.as_tensor(colour)[:2].double() - torch.tensor([0.8, 0.5], dtype=torch.float64)
-    holds(
-        float(red_and_green.abs().max()) > 1e-6, "what is behind gets only the light that is left", on=on,
+    attempt.holds(
+        float(red_and_green.abs().max()) > 1e-6,
+        "what is behind gets only the light that is left",
         detail="red has its whole alpha 0.8 and green its whole alpha 0.5, as if nothing were in front of it",
-    )  # fmt: skip
-    close(colour, [0.8, 0.1, 0.0], "the nearest comes first", on=on, why="w = 0.8 and 0.2 * 0.5")
-    close(left, 0.1, "the light left is the product of all 1 - alpha", on=on)
-    on = "no Gaussian at all"
-    colour, left = unpack(attempt.on(on)(torch.zeros(0), torch.zeros(0, 3)), names, on=on)
-    close(colour, [0.0, 0.0, 0.0], "an empty pixel is black", on=on)
-    close(left, 1.0, "an empty pixel keeps all its light", on=on)
-    on = "seven random Gaussians"
+    )
+    attempt.close(colour, [0.8, 0.1, 0.0], "the nearest comes first", why="w = 0.8 and 0.2 * 0.5")
+    attempt.close(left, 0.1, "the light left is the product of all 1 - alpha")
+    colour, left = attempt.unpack(attempt.on("no Gaussian at all")(torch.zeros(0), torch.zeros(0, 3)), names)
+    attempt.close(colour, [0.0, 0.0, 0.0], "an empty pixel is black")
+    attempt.close(left, 1.0, "an empty pixel keeps all its light")
     generator = torch.Generator().manual_seed(3)
     alpha, rgb = torch.rand(7, generator=generator), torch.rand(7, 3, generator=generator)
-    colour, left = unpack(attempt.on(on)(alpha, rgb), names, on=on)
+    colour, left = attempt.unpack(attempt.on("seven random Gaussians")(alpha, rgb), names)
     expected, T = _composite_pixel(alpha, rgb)
-    close(colour, expected, "C = sum of alpha_k T_k c_k", on=on)
-    close(left, T, "the light left is the product of all 1 - alpha", on=on)
+    attempt.close(colour, expected, "C = sum of alpha_k T_k c_k")
+    attempt.close(left, T, "the light left is the product of all 1 - alpha")
 
 
 Number = float | int
@@ -246,8 +241,8 @@ def tiles_touched(attempt: Attempt) -> None:
     names = ("x0", "x1", "y0", "y1")
 
     def ask(on: str, u: Number, v: Number, extent: Number, width: int, height: int, prop: str, why: str = "") -> None:
-        got = unpack(_as_list(attempt.on(on)(u, v, extent, width, height, 8)), names, on=on)
-        close(got, _tiles_touched(u, v, extent, width, height, 8), prop, on=on, why=why)
+        got = attempt.unpack(_as_list(attempt.on(on)(u, v, extent, width, height, 8)), names)
+        attempt.close(got, _tiles_touched(u, v, extent, width, height, 8), prop, why=why)
 
     half_open = "the ranges are half open: the end is one past the last tile"
     ask(
@@ -275,11 +270,11 @@ def tiles_touched(attempt: Attempt) -> None:
         "ceil, not floor",
     )
     for on, u in (("u -30, v 20, extent 5: left of the picture", -30.0), ("u 100, v 20: right of it", 100.0)):
-        x0, x1, *_ = box = unpack(_as_list(attempt.on(on)(u, 20.0, 5.0, 64, 48, 8)), names, on=on)
-        holds(x1 <= x0, "a splat outside the picture touches no tile", on=on, detail=f"got columns {x0} to {x1}")
+        x0, x1, *_ = box = attempt.unpack(_as_list(attempt.on(on)(u, 20.0, 5.0, 64, 48, 8)), names)
+        attempt.holds(x1 <= x0, "a splat outside the picture touches no tile", detail=f"got columns {x0} to {x1}")
         inside = min(box) >= 0 and max(x0, x1) <= 8
         detail = f"got columns {x0} to {x1}, and there are 8: clamp both ends to 0 .. 8"
-        holds(inside, "tiles outside the picture do not exist, not even as an empty range", on=on, detail=detail)
+        attempt.holds(inside, "tiles outside the picture do not exist, not even as an empty range", detail=detail)
 
 
 def _as_list(value: Any) -> Any:
@@ -343,32 +338,30 @@ def _as_sh_to_rgb(yours: Yours, sh: Tensor, xyz_W: Tensor, camera_centre_W: Tens
 def view_colour(attempt: Attempt) -> None:
     """Colour of a Gaussian of SH degree 1, seen from a camera centre."""
     origin, ahead = torch.zeros(3), torch.tensor([0.0, 0.0, 1.0])
-    on = "coefficients all zero"
-    close(attempt.on(on)(torch.zeros(4, 3), ahead, origin), [0.5] * 3, "all-zero coefficients are middle grey", on=on)
-    on = "a Gaussian 1 m along z, only sh[2] = 0.5"
+    attempt.on("coefficients all zero")
+    attempt.close(attempt(torch.zeros(4, 3), ahead, origin), [0.5] * 3, "all-zero coefficients are middle grey")
     sh = torch.zeros(4, 3)
     sh[2] = 0.5
     expected = [0.5 + 0.5 * _C1] * 3
-    got = torch.as_tensor(attempt.on(on)(sh, ahead, origin)).double()
+    got = torch.as_tensor(attempt.on("a Gaussian 1 m along z, only sh[2] = 0.5")(sh, ahead, origin)).double()
     detail = f"got {float(got.min()):.3g}, and 0.744 is expected: d = (x - o) / |x - o|"
-    holds(float(got.min()) > 0.499, "d goes from the camera to the Gaussian", on=on, detail=detail)
-    close(got, expected, "sh[2] belongs to Y_2 = 0.4886 z", on=on)
-    on = "the same, camera and Gaussian moved by (1, 2, -3)"
+    attempt.holds(float(got.min()) > 0.499, "d goes from the camera to the Gaussian", detail=detail)
+    attempt.close(got, expected, "sh[2] belongs to Y_2 = 0.4886 z")
+    attempt.on("the same, camera and Gaussian moved by (1, 2, -3)")
     step = torch.tensor([1.0, 2.0, -3.0])
     prop = "only the way from the camera to the Gaussian counts, not the place in the world"
-    close(attempt.on(on)(sh, ahead + step, step), expected, prop, on=on, why="d = (x - o) / |x - o|")
-    on = "only sh[0] = 1"
+    attempt.close(attempt(sh, ahead + step, step), expected, prop, why="d = (x - o) / |x - o|")
     constant = torch.zeros(4, 3)
     constant[0] = 1.0
-    close(attempt.on(on)(constant, ahead, origin), [0.5 + SH_C0] * 3, "sh[0] counts Y_0 = 0.2821", on=on)
-    on = "the same, 4 m along z"
-    close(attempt.on(on)(sh, 4 * ahead, origin), expected, "only the direction counts", on=on, why="normalise d")
-    on = "the same Gaussian, sh[2] = -2"
-    close(attempt.on(on)(-4 * sh, ahead, origin), [0.0] * 3, "no colour is below 0", on=on)
-    on = "the same Gaussian, sh[2] = 2"
-    close(attempt.on(on)(4 * sh, ahead, origin), [0.5 + 2 * _C1] * 3, "a colour may be above 1", on=on)
+    attempt.close(attempt.on("only sh[0] = 1")(constant, ahead, origin), [0.5 + SH_C0] * 3, "sh[0] counts Y_0 = 0.2821")
+    attempt.on("the same, 4 m along z")
+    attempt.close(attempt(sh, 4 * ahead, origin), expected, "only the direction counts", why="normalise d")
+    attempt.on("the same Gaussian, sh[2] = -2")
+    attempt.close(attempt(-4 * sh, ahead, origin), [0.0] * 3, "no colour is below 0")
+    attempt.on("the same Gaussian, sh[2] = 2")
+    attempt.close(attempt(4 * sh, ahead, origin), [0.5 + 2 * _C1] * 3, "a colour may be above 1")
     generator = torch.Generator().manual_seed(5)
     sh, xyz, centre = (0.4 * torch.randn(n, 3, generator=generator) for n in (4, 1, 1))
-    on = "random coefficients and positions"
+    attempt.on("random coefficients and positions")
     expected = sh_to_rgb(sh[None], xyz, centre[0])[0]
-    close(attempt.on(on)(sh, xyz[0], centre[0]), expected, "order and signs of the basis are Y0, -y, z, -x", on=on)
+    attempt.close(attempt(sh, xyz[0], centre[0]), expected, "order and signs of the basis are Y0, -y, z, -x")

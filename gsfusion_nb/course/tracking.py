@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..geometry import se3
 from ..tracking.icp import IcpSystem, Step
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 
 def _residual_and_jacobian(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
@@ -49,31 +49,30 @@ def point_to_plane(attempt: Attempt) -> None:
     """Residual and Jacobian of point-to-plane ICP (Eq. 10)."""
     names = ("r", "J")
     up = torch.tensor([[0.0, 0.0, 1.0]])
-    on = "a point 3 cm above the plane and 20 cm beside its partner"
-    r, J = unpack(attempt.on(on)(torch.tensor([[0.2, 0.0, 0.03]]), torch.zeros(1, 3), up), names, on=on)
+    attempt.on("a point 3 cm above the plane and 20 cm beside its partner")
+    r, J = attempt.unpack(attempt(torch.tensor([[0.2, 0.0, 0.03]]), torch.zeros(1, 3), up), names)
     why = "only the part along n counts: (p - q) . n"
     turned = torch.as_tensor(r).numel() == 1 and abs(float(torch.as_tensor(r)) + 0.03) < 1e-5
     prop = "r is positive on the side to which n points: (p - q) . n"
-    holds(not turned, prop, on=on, detail="got -0.03, expected 0.03")
-    close(r, [0.03], "sliding along the surface costs nothing", on=on, why=why)
-    holds(tuple(getattr(J, "shape", ())) == (1, 6), "J has six columns for each point", on=on, detail="expected [N, 6]")
-    close(torch.as_tensor(J)[:, :3], up, "the translation comes first", on=on, why="dr/drho = n")
+    attempt.holds(not turned, prop, detail="got -0.03, expected 0.03")
+    attempt.close(r, [0.03], "sliding along the surface costs nothing", why=why)
+    attempt.holds(
+        tuple(getattr(J, "shape", ())) == (1, 6), "J has six columns for each point", detail="expected [N, 6]"
+    )
+    attempt.close(torch.as_tensor(J)[:, :3], up, "the translation comes first", why="dr/drho = n")
     generator = torch.Generator().manual_seed(2)
     p, q, n = (torch.randn(5, 3, generator=generator, dtype=torch.float64) for _ in range(3))
     n = n / n.norm(dim=-1, keepdim=True)
-    on = "five random points"
-    r, J = unpack(attempt.on(on)(p, q, n), names, on=on)
-    close(r, ((p - q) * n).sum(-1), "r = (p - q) . n", on=on)
+    r, J = map(torch.as_tensor, attempt.unpack(attempt.on("five random points")(p, q, n), names))
+    attempt.close(r, ((p - q) * n).sum(-1), "r = (p - q) . n")
     step = 1e-6
     for k in range(6):
         xi = torch.zeros(6, dtype=torch.float64)
         xi[k] = step
         moved = [((se3.apply(se3.exp(s * xi), p) - q) * n).sum(-1) for s in (1.0, -1.0)]
         difference = (moved[0] - moved[1]) / (2 * step)
-        close(
-            torch.as_tensor(J)[:, k], difference, "J is the derivative of r", on=f"{on}, finite difference in xi[{k}]",
-            tolerance=1e-5, why="a row of J is [n, p x n]",
-        )  # fmt: skip
+        attempt.on(f"five random points, finite difference in xi[{k}]")
+        attempt.close(J[:, k], difference, "J is the derivative of r", why="a row of J is [n, p x n]")
 
 
 def _gauss_newton(T_WC: Tensor, r: Tensor, J: Tensor) -> Tensor:
@@ -142,27 +141,21 @@ def gauss_newton(attempt: Attempt) -> None:
         start = se3.exp(torch.tensor(twist, dtype=torch.float64)) @ true
         r, J = _residual_and_jacobian(se3.apply(start, p_C), q, n)
         got = attempt.on(on)(start, r, J)
-        holds(
-            isinstance(got, Tensor) and got.shape == (4, 4),
-            "it returns a pose",
-            on=on,
-            detail="expected a tensor [4, 4]",
+        attempt.holds(
+            isinstance(got, Tensor) and got.shape == (4, 4), "it returns a pose", detail="expected a tensor [4, 4]"
         )
         return got
 
     eye = torch.eye(4, dtype=torch.float64)
-    on = "60 points, 1 cm off along x"
-    got = ask(on, eye, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
-    holds(
-        float(got[0, 3]) < 0.0101, "the step goes towards the surface", on=on, detail=f"x is {float(got[0, 3]):.4f} m"
+    got = ask("60 points, 1 cm off along x", eye, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    attempt.holds(
+        float(got[0, 3]) < 0.0101, "the step goes towards the surface", detail=f"x is {float(got[0, 3]):.4f} m"
     )
-    close(got, eye, "one step solves a small error", on=on, tolerance=1e-4, why="solve J^T J xi = -J^T r")
-    on = "a camera turned by 90 degrees, 1 cm off along x"
-    got = ask(on, quarter, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
-    close(got, quarter, "the motion is in the world frame", on=on, tolerance=1e-4, why="exp(xi) must be on the left")
-    on = "the same, turned by 17 degrees"
-    R = ask(on, quarter, [0.0, 0.0, 0.0, 0.1, -0.2, 0.2])[:3, :3]
-    close(R @ R.T, torch.eye(3), "the result is a rigid motion", on=on, tolerance=1e-6, why="use se3.exp, not I + hat")
+    attempt.close(got, eye, "one step solves a small error", tolerance=1e-4, why="solve J^T J xi = -J^T r")
+    got = ask("a camera turned by 90 degrees, 1 cm off along x", quarter, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    attempt.close(got, quarter, "the motion is in the world frame", tolerance=1e-4, why="exp(xi) must be on the left")
+    R = ask("the same, turned by 17 degrees", quarter, [0.0, 0.0, 0.0, 0.1, -0.2, 0.2])[:3, :3]
+    attempt.close(R @ R.T, torch.eye(3), "the result is a rigid motion", tolerance=1e-6, why="use se3.exp, not I + hat")
 
 
 def _predict(T_before: Tensor, T_last: Tensor) -> Tensor:
@@ -208,24 +201,22 @@ def predict(attempt: Attempt) -> None:
     """Where will the camera be next, if its motion continues?"""
     eye, ahead = torch.eye(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)
     ahead[2, 3] = 0.1
-    on = "10 cm forward since the frame before"
-    got = attempt.on(on)(eye, ahead)
-    holds(
-        isinstance(got, Tensor) and got.shape == (4, 4), "it returns a pose", on=on, detail="expected a tensor [4, 4]"
+    got = attempt.on("10 cm forward since the frame before")(eye, ahead)
+    attempt.holds(
+        isinstance(got, Tensor) and got.shape == (4, 4), "it returns a pose", detail="expected a tensor [4, 4]"
     )
-    close(got[:3, 3], [0.0, 0.0, 0.2], "a constant motion continues", on=on)
+    attempt.close(got[:3, 3], [0.0, 0.0, 0.2], "a constant motion continues")
     curve = se3.exp(torch.tensor([0.0, 0.0, 0.1, 0.0, 0.3, 0.0], dtype=torch.float64))
-    on = "forward and turning by 17 degrees"
-    got = attempt.on(on)(curve, curve @ curve)
+    got = attempt.on("forward and turning by 17 degrees")(curve, curve @ curve)
     R = got[:3, :3]
-    close(R @ R.T, torch.eye(3), "the result is a rigid motion", on=on, tolerance=1e-6)
-    close(got, curve @ curve @ curve, "a motion along a curve continues along the curve", on=on, tolerance=1e-6)
-    on = "the same motion, from a camera that has turned and moved before"
+    attempt.close(R @ R.T, torch.eye(3), "the result is a rigid motion", tolerance=1e-6)
+    attempt.close(got, curve @ curve @ curve, "a motion along a curve continues along the curve", tolerance=1e-6)
+    attempt.on("the same motion, from a camera that has turned and moved before")
     start = se3.exp(torch.tensor([0.4, -0.3, 0.2, 0.5, -0.2, 0.7], dtype=torch.float64))
-    got = attempt.on(on)(start @ curve, start @ curve @ curve)
+    got = attempt(start @ curve, start @ curve @ curve)
     prop = "the motion continues in the camera's own axes, wherever the camera is"
-    close(
-        got, start @ curve @ curve @ curve, prop, on=on, tolerance=1e-6, why="inverse(T_before) @ T_last, on the right"
+    attempt.close(
+        got, start @ curve @ curve @ curve, prop, tolerance=1e-6, why="inverse(T_before) @ T_last, on the right"
     )
 
 
@@ -276,26 +267,24 @@ def spread_correction(attempt: Attempt) -> None:
     path[:, 0, 3] = torch.arange(n)
     end = path[-1].clone()
     end[1, 3] = 0.4
-    on = "five poses along x; the loop says the last one is 40 cm farther left"
-    got = attempt.on(on)(path, end)
-    holds(isinstance(got, Tensor) and got.shape == (n, 4, 4), "it returns N poses", on=on, detail="expected [N, 4, 4]")
-    close(got[0], path[0], "the first pose stays", on=on, tolerance=1e-6)
-    close(got[-1], end, "the last pose is where the loop says", on=on, tolerance=1e-6)
-    close(got[:, 1, 3], [0.0, 0.1, 0.2, 0.3, 0.4], "the correction grows evenly along the path", on=on, tolerance=1e-6)
+    got = attempt.on("five poses along x; the loop says the last one is 40 cm farther left")(path, end)
+    attempt.holds(isinstance(got, Tensor) and got.shape == (n, 4, 4), "it returns N poses", detail="expected [N, 4, 4]")
+    attempt.close(got[0], path[0], "the first pose stays", tolerance=1e-6)
+    attempt.close(got[-1], end, "the last pose is where the loop says", tolerance=1e-6)
+    attempt.close(got[:, 1, 3], [0.0, 0.1, 0.2, 0.3, 0.4], "the correction grows evenly along the path", tolerance=1e-6)
     turned = end.clone()
     turned[:3, :3] = se3.exp(torch.tensor([0.0, 0, 0, 0, 0, 1.2], dtype=torch.float64))[:3, :3]
-    on = "the same, and it has turned by 69 degrees"
-    got = attempt.on(on)(path, turned)
+    got = attempt.on("the same, and it has turned by 69 degrees")(path, turned)
     R = got[:, :3, :3]
     eye = torch.eye(3, dtype=torch.float64).expand(n, 3, 3)
-    close(R @ R.transpose(1, 2), eye, "every pose stays rigid", on=on, tolerance=1e-6, why="exp(share * log(change))")
+    attempt.close(R @ R.transpose(1, 2), eye, "every pose stays rigid", tolerance=1e-6, why="exp(share * log(change))")
     half = float(se3.rotation_angle(R[2]))
-    close(half, 0.6, "halfway along the path it is half the turn", on=on, tolerance=1e-6)
-    on = "seven poses along a curve, and a loop that turns and moves the last one"
+    attempt.close(half, 0.6, "halfway along the path it is half the turn", tolerance=1e-6)
+    attempt.on("seven poses along a curve, and a loop that turns and moves the last one")
     curve = se3.exp(
         torch.linspace(0, 1, 7, dtype=torch.float64)[:, None] * torch.tensor([1.0, 0, 2, 0.3, 0.9, 0]).double()
     )
     loop = se3.exp(torch.tensor([0.1, 0.0, -0.1, 0.2, 0.0, 0.1], dtype=torch.float64)) @ curve[-1]
     prop = "each pose is moved by its share of the change, in the world's axes"
     why = "change = T_loop @ inverse(poses[-1]), and exp(share * log(change)) is on the left of each pose"
-    close(attempt.on(on)(curve, loop), _spread(curve, loop), prop, on=on, tolerance=1e-6, why=why)
+    attempt.close(attempt(curve, loop), _spread(curve, loop), prop, tolerance=1e-6, why=why)

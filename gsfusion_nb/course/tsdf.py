@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..config import TsdfConfig
 from ..tsdf import octree, tsdf_update
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 
 def _signed_distance(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
@@ -68,33 +68,28 @@ def signed_distance(attempt: Attempt) -> None:
 
     def ask(on: str, depth_m: float, z_m: list[float]) -> tuple[Tensor, Tensor]:
         depth, z = torch.full((len(z_m),), depth_m), torch.tensor(z_m)
-        d, observed = unpack(attempt.on(on)(depth, z, 0.1), names, on=on)
+        d, observed = attempt.unpack(attempt.on(on)(depth, z, 0.1), names)
         return torch.as_tensor(d), torch.as_tensor(observed)
 
-    on = "a voxel 5 cm in front of a surface at 2 m, truncation 10 cm"
-    d, observed = ask(on, 2.0, [1.95])
-    close(d, [0.5], "d is positive in front of the surface, in units of the truncation", on=on, tolerance=1e-4)
-    on = "a voxel 5 cm behind a surface at 2 m"
-    d, observed = ask(on, 2.0, [2.05])
-    close(d, [-0.5], "d is negative behind the surface", on=on, tolerance=1e-4)
-    holds(observed.all(), "a voxel just behind the surface, inside the band, is observed", on=on, detail="it is not")
-    on = "a voxel 1 m in front of a surface at 2 m"
-    d, observed = ask(on, 2.0, [1.0])
-    close(d, [1.0], "d is clamped to 1 far in front", on=on)
-    holds(observed.all(), "free space in front of the surface is observed, however far", on=on, detail="it is not")
-    on = "a voxel 1 m behind a surface at 2 m"
-    d, observed = ask(on, 2.0, [3.0])
+    d, observed = ask("a voxel 5 cm in front of a surface at 2 m, truncation 10 cm", 2.0, [1.95])
+    attempt.close(d, [0.5], "d is positive in front of the surface, in units of the truncation", tolerance=1e-4)
+    d, observed = ask("a voxel 5 cm behind a surface at 2 m", 2.0, [2.05])
+    attempt.close(d, [-0.5], "d is negative behind the surface", tolerance=1e-4)
+    attempt.holds(observed.all(), "a voxel just behind the surface, inside the band, is observed", detail="it is not")
+    d, observed = ask("a voxel 1 m in front of a surface at 2 m", 2.0, [1.0])
+    attempt.close(d, [1.0], "d is clamped to 1 far in front")
+    attempt.holds(observed.all(), "free space in front of the surface is observed, however far", detail="it is not")
+    d, observed = ask("a voxel 1 m behind a surface at 2 m", 2.0, [3.0])
     hidden = "a voxel hidden behind the band is not observed: what is there is unknown"
-    holds(not observed.any(), hidden, on=on, detail="observed is true")
-    on = "a pixel whose depth is 0, voxel at 5 cm"
-    d, observed = ask(on, 0.0, [0.05])
-    holds(not observed.any(), "depth 0 means missing: nothing is observed", on=on, detail="observed is true")
-    on = "a surface at 40 cm and voxels at 20, 35, 45 and 80 cm, truncation 25 cm"
+    attempt.holds(not observed.any(), hidden, detail="observed is true")
+    d, observed = ask("a pixel whose depth is 0, voxel at 5 cm", 0.0, [0.05])
+    attempt.holds(not observed.any(), "depth 0 means missing: nothing is observed", detail="observed is true")
+    attempt.on("a surface at 40 cm and voxels at 20, 35, 45 and 80 cm, truncation 25 cm")
     z, depth = torch.tensor([0.2, 0.35, 0.45, 0.8]), torch.full((4,), 0.4)
-    d, observed = (torch.as_tensor(part) for part in unpack(attempt.on(on)(depth, z, 0.25), names, on=on))
+    d, observed = (torch.as_tensor(part) for part in attempt.unpack(attempt(depth, z, 0.25), names))
     prop = "a near surface is observed like any other, and the band is as wide as truncation_m says"
-    close(observed.double(), [1, 1, 1, 0], prop, on=on)
-    close(d.double()[:3], [0.8, 0.2, -0.2], "d is in units of truncation_m", on=on)
+    attempt.close(observed.double(), [1, 1, 1, 0], prop)
+    attempt.close(d.double()[:3], [0.8, 0.2, -0.2], "d is in units of truncation_m")
 
 
 def _running_average(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
@@ -138,26 +133,25 @@ def _as_tsdf_update(
 def running_average(attempt: Attempt) -> None:
     """Add one observation to a voxel: W is capped, D is the running mean (Eq. 8-9)."""
     names = ("D", "W")
-    on = "a voxel never observed (D = 1, W = 0), observation 0.2"
-    D, W = unpack(attempt.on(on)(torch.ones(1), torch.zeros(1), torch.tensor([0.2]), 100.0), names, on=on)
-    close(D, [0.2], "the first observation replaces the initial value", on=on)
-    close(W, [1.0], "W counts the observations", on=on)
-    on = "observations 0.2, 0.4, 0.6 one after the other"
+    attempt.on("a voxel never observed (D = 1, W = 0), observation 0.2")
+    D, W = attempt.unpack(attempt(torch.ones(1), torch.zeros(1), torch.tensor([0.2]), 100.0), names)
+    attempt.close(D, [0.2], "the first observation replaces the initial value")
+    attempt.close(W, [1.0], "W counts the observations")
+    attempt.on("observations 0.2, 0.4, 0.6 one after the other")
     D, W = torch.ones(1), torch.zeros(1)
     for d in (0.2, 0.4, 0.6):
-        D, W = (torch.as_tensor(a) for a in unpack(attempt.on(on)(D, W, torch.tensor([d]), 100.0), names, on=on))
-    close(D, [0.4], "every observation counts the same: D is their mean", on=on)
-    on = "W = 4 with max_weight = 4, D = 0.2, observation 1"
-    D, W = unpack(attempt.on(on)(torch.full((1,), 0.2), torch.full((1,), 4.0), torch.ones(1), 4.0), names, on=on)
-    close(W, [4.0], "W stops at max_weight", on=on)
-    close(D, [0.4], "at max_weight a new observation still moves D: it counts 1 / max_weight", on=on)
-    on = "64 random voxels"
+        D, W = (torch.as_tensor(a) for a in attempt.unpack(attempt(D, W, torch.tensor([d]), 100.0), names))
+    attempt.close(D, [0.4], "every observation counts the same: D is their mean")
+    attempt.on("W = 4 with max_weight = 4, D = 0.2, observation 1")
+    D, W = attempt.unpack(attempt(torch.full((1,), 0.2), torch.full((1,), 4.0), torch.ones(1), 4.0), names)
+    attempt.close(W, [4.0], "W stops at max_weight")
+    attempt.close(D, [0.4], "at max_weight a new observation still moves D: it counts 1 / max_weight")
     g = torch.Generator().manual_seed(1)
     D, W = torch.rand(64, generator=g), torch.randint(0, 12, (64,), generator=g).float()
     d = torch.rand(64, generator=g) * 2 - 1
     expected = tsdf_update(D, W, d * 0.1, truncation_m=0.1, max_weight=10.0)
-    D, W = unpack(attempt.on(on)(D, W, d, 10.0), names, on=on)
-    close(D, expected[0], "D = (D (W - 1) + d) / W with the new W, as in gsfusion_nb.tsdf.tsdf_update", on=on)
+    D, W = attempt.unpack(attempt.on("64 random voxels")(D, W, d, 10.0), names)
+    attempt.close(D, expected[0], "D = (D (W - 1) + d) / W with the new W, as in gsfusion_nb.tsdf.tsdf_update")
 
 
 def _block_of(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
@@ -197,19 +191,20 @@ def _as_block_of(yours: Yours, ijk: Tensor) -> Tensor:
 )  # fmt: skip
 def block_of(attempt: Attempt) -> None:
     """The voxel block that contains a point."""
-    on = "(0.30, 0.05, 0.85) m with voxels of 5 cm"
-    block = attempt.on(on)(torch.tensor([[0.30, 0.05, 0.85]]), 0.05)
-    close(block, [[0, 0, 2]], "above zero, block k reaches from 8 k to 8 (k + 1) voxels", on=on)
-    on = "(-0.10, 0.10, -0.50) m with voxels of 5 cm"
-    block = attempt.on(on)(torch.tensor([[-0.10, 0.10, -0.50]]), 0.05)
-    close(block, [[-1, 0, -2]], "below zero too, a block reaches upwards from its lower corner", on=on,
-          why="Rounding towards zero merges the two blocks beside the origin")  # fmt: skip
-    on = "(0.39, 0.41, 2.37) and (-3.00, 0.02, 0.79) m with voxels of 5 cm"
-    block = attempt.on(on)(torch.tensor([[0.39, 0.41, 2.37], [-3.0, 0.02, 0.79]]), 0.05)
-    close(block, [[0, 1, 5], [-8, 0, 1]], "a block has 8 voxels along each axis: its edge is 40 cm here", on=on)
-    on = "(0.39, 0.41, 2.37) m with voxels of 2 cm"
-    block = attempt.on(on)(torch.tensor([[0.39, 0.41, 2.37]]), 0.02)
-    close(block, [[2, 2, 14]], "the edge of a block grows with voxel_size_m", on=on)
+    block = attempt.on("(0.30, 0.05, 0.85) m with voxels of 5 cm")(torch.tensor([[0.30, 0.05, 0.85]]), 0.05)
+    attempt.close(block, [[0, 0, 2]], "above zero, block k reaches from 8 k to 8 (k + 1) voxels")
+    block = attempt.on("(-0.10, 0.10, -0.50) m with voxels of 5 cm")(torch.tensor([[-0.10, 0.10, -0.50]]), 0.05)
+    attempt.close(
+        block,
+        [[-1, 0, -2]],
+        "below zero too, a block reaches upwards from its lower corner",
+        why="Rounding towards zero merges the two blocks beside the origin",
+    )
+    attempt.on("(0.39, 0.41, 2.37) and (-3.00, 0.02, 0.79) m with voxels of 5 cm")
+    block = attempt(torch.tensor([[0.39, 0.41, 2.37], [-3.0, 0.02, 0.79]]), 0.05)
+    attempt.close(block, [[0, 1, 5], [-8, 0, 1]], "a block has 8 voxels along each axis: its edge is 40 cm here")
+    block = attempt.on("(0.39, 0.41, 2.37) m with voxels of 2 cm")(torch.tensor([[0.39, 0.41, 2.37]]), 0.02)
+    attempt.close(block, [[2, 2, 14]], "the edge of a block grows with voxel_size_m")
 
 
 def _morton(x: int, y: int, z: int) -> int:
@@ -262,17 +257,16 @@ def morton_code(attempt: Attempt) -> None:
         ((0, 0, 1), 4, "then z: bit 0 of z is bit 2 of the code"),
         ((2, 0, 0), 8, "the bits alternate: bit 1 of x is bit 3 of the code"),
     ):
-        on = f"block {coords}"
-        close(attempt.on(on)(*coords), expected, prop, on=on)
+        attempt.close(attempt.on(f"block {coords}")(*coords), expected, prop)
     g = torch.Generator().manual_seed(0)
     for coords in torch.randint(0, 1024, (20, 3), generator=g).tolist():
-        on = f"block {tuple(coords)}"
-        code = int(attempt.on(on)(*coords))
-        parent = int(attempt.on(on)(*(c // 2 for c in coords)))
-        close(code >> 3, parent, "the parent's code is code >> 3", on=on)
+        attempt.on(f"block {tuple(coords)}")
+        code = int(attempt(*coords))
+        parent = int(attempt(*(c // 2 for c in coords)))
+        attempt.close(code >> 3, parent, "the parent's code is code >> 3")
         origin = int(octree.encode(torch.zeros(1, 3, dtype=torch.int64)))
         library = int(octree.encode(torch.tensor([coords]))) - origin
-        close(code, library, "it agrees with gsfusion_nb.tsdf.octree.encode, minus the code of the origin", on=on)
+        attempt.close(code, library, "it agrees with gsfusion_nb.tsdf.octree.encode, minus the code of the origin")
 
 
 def _zero_crossing(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
@@ -314,14 +308,13 @@ def zero_crossing(attempt: Attempt) -> None:
         return torch.as_tensor(attempt.on(on)(p0, p1, torch.tensor([D0]), torch.tensor([D1])))
 
     on = "D = +0.5 and -0.5 at the ends of a 10 cm edge"
-    close(ask(on, 0.5, -0.5), [[0.05, 0.0, 0.0]], "opposite values cut the edge halfway", on=on)
-    on = "D = +0.1 and -0.4"
+    attempt.close(ask(on, 0.5, -0.5), [[0.05, 0.0, 0.0]], "opposite values cut the edge halfway")
     prop = "the surface is nearer to the end whose D is nearer to zero"
-    close(ask(on, 0.1, -0.4), [[0.02, 0.0, 0.0]], prop, on=on)
+    attempt.close(ask("D = +0.1 and -0.4", 0.1, -0.4), [[0.02, 0.0, 0.0]], prop)
     on = "D = -0.3 and +0.1"
-    close(ask(on, -0.3, 0.1), [[0.075, 0.0, 0.0]], "it makes no difference which end is negative", on=on)
-    on = "two edges, neither at the origin: along y from (1, 2, 3) and along z from (-1, 0.5, 2)"
+    attempt.close(ask(on, -0.3, 0.1), [[0.075, 0.0, 0.0]], "it makes no difference which end is negative")
+    attempt.on("two edges, neither at the origin: along y from (1, 2, 3) and along z from (-1, 0.5, 2)")
     starts, ends = torch.tensor([[1.0, 2, 3], [-1, 0.5, 2]]), torch.tensor([[1.0, 2.1, 3], [-1, 0.5, 2.1]])
-    got = attempt.on(on)(starts, ends, torch.tensor([0.6, -0.1]), torch.tensor([-0.2, 0.3]))
+    got = attempt(starts, ends, torch.tensor([0.6, -0.1]), torch.tensor([-0.2, 0.3]))
     prop = "every edge has its own crossing, counted from its own start p0"
-    close(got, [[1.0, 2.075, 3.0], [-1.0, 0.5, 2.025]], prop, on=on)
+    attempt.close(got, [[1.0, 2.075, 3.0], [-1.0, 0.5, 2.025]], prop)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb.course import check
-from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten, close
+from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten
 from gsfusion_nb.course.exercise import Wrong, exercise, exercises
 from gsfusion_nb.course.progress import read_section
 
@@ -39,8 +39,8 @@ def twice(monkeypatch):
     )  # fmt: skip
     def twice(attempt):
         """Double a number."""
-        on = "the number 3"
-        close(attempt.on(on)(torch.tensor([3.0])), [6.0], "it is twice as large", on=on, why="Add it to itself")
+        attempt.on("the number 3")
+        attempt.close(attempt(torch.tensor([3.0])), [6.0], "it is twice as large", why="Add it to itself")
 
     return twice
 
@@ -185,7 +185,7 @@ def test_an_attempt_notices_what_the_student_does():
 )
 def test_close_says_what_came(got, expected, says):
     with pytest.raises(Failed, match=says) as e:
-        close(got, expected, "it is right", on="this")
+        Attempt(abs).on("this").close(got, expected, "it is right")
     assert (e.value.prop, e.value.on) == ("it is right", "this")
 
 
