@@ -21,7 +21,7 @@ from .bundle_adjustment import adjust
 from .features import FEATURES, LEVELS, Features
 from .landmark_map import LandmarkMap
 from .loops import LoopFinder
-from .matching import PointPairs, RelativePose, refine_pose
+from .matching import RelativePose, refine_pose, rows_of
 from .pose_graph import (
     Edge,
     edge_error,
@@ -204,8 +204,8 @@ class BackEnd:
         for r in sorted(around, key=lambda r: -len(shared[r]))[:TIED_TO]:
             if len(shared[r]) < MIN_SHARED:
                 continue
-            points = PointPairs.of(self.database.features[row], self.database.features[r], shared[r])
-            pose = refine_pose(self.camera, points, se3.inverse(T[r]) @ T_seen, shared[r])
+            rows = rows_of(self.camera, self.database.features[row], self.database.features[r], shared[r])
+            pose = refine_pose(rows, se3.inverse(T[r]) @ T_seen, shared[r])
             if pose is not None and len(pose.rows) >= MIN_SHARED:
                 self.edges.append(self._edge(r, row, pose, "landmarks"))
 

@@ -183,8 +183,3 @@ def _depth_at(depth_m: ndarray, uv: ndarray) -> tuple[ndarray, ndarray]:
     top = inverse[0, 0] * (1 - fx) + inverse[0, 1] * fx
     bottom = inverse[1, 0] * (1 - fx) + inverse[1, 1] * fx
     return np.where(trusted, 1.0 / (top * (1 - fy) + bottom * fy), 0.0), trusted
-
-
-def depth_sigma(depth_m: Float[Tensor, "*N"]) -> Float[Tensor, "*N"]:
-    """Standard deviation of a measured depth, metres: 1.6e-3 z^2 (Khoshelham & Elberink 2012)."""
-    return DEPTH_SIGMA_PER_M * depth_m * depth_m

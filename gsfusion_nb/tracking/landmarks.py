@@ -12,7 +12,8 @@ from torch import Tensor
 from ..geometry import se3
 from .features import Features
 from .keyframe_database import KeyframeDatabase
-from .matching import PointPairs, found_near
+from .landmark_pose import LandmarkRows, inverse_or_zero
+from .matching import found_near
 
 NO_LANDMARK = -1
 
@@ -137,14 +138,15 @@ class Landmarks:
     def _poses(self) -> ndarray:
         return torch.stack(self.database.T_WC).numpy()
 
-    def points(self, features: Features, pairs: Int[Tensor, "P 2"], T_WR: Float[Tensor, "4 4"]) -> PointPairs:
-        """The ``pairs`` from ``find``: points in a reference camera frame R, pixels and depth of the features."""
+    def rows(self, features: Features, pairs: Int[Tensor, "P 2"], T_WR: Float[Tensor, "4 4"]) -> LandmarkRows:
+        """The ``pairs`` from ``find``: points in a reference camera frame R, where the features show them."""
         seen = features[pairs[:, 0]]
-        return PointPairs(
-            xyz_R=se3.apply(se3.inverse(T_WR), self.positions(pairs[:, 1])),
-            uv=seen.uv.double(),
-            depth_m=seen.xyz_C[:, 2].double(),
-            sigma_px=seen.sigma_px.double() * 2**0.5,
+        return LandmarkRows(
+            camera=self.database.camera,
+            xyz_W=se3.apply(se3.inverse(T_WR), self.positions(pairs[:, 1])).numpy(),
+            uv=seen.uv.double().numpy(),
+            inverse_depth=inverse_or_zero(seen.xyz_C[:, 2].double().numpy()),
+            sigma_px=seen.sigma_px.double().numpy() * 2**0.5,  # the landmark's own pixel had the same error
         )
 
     def shared(self, row_a: int, row_b: int) -> Int[Tensor, "P 2"]:

@@ -162,7 +162,7 @@ class LoopFinder:
         T_WR = self.database.T_WC[earlier]
         around = list(range(max(0, earlier - AROUND), min(earlier + AROUND, row - MIN_GAP) + 1))
         pairs = self.landmarks.find(features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * camera.width)
-        return refine_pose(camera, self.landmarks.points(features, pairs, T_WR), pose.T_RQ, pairs)
+        return refine_pose(self.landmarks.rows(features, pairs, T_WR), pose.T_RQ, pairs)
 
     def _is_true(self, row: int, earlier: int, pose: RelativePose) -> bool:
         thumbnails = (self.thumbnails[row], self.thumbnails[earlier])

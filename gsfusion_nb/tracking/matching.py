@@ -12,9 +12,10 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_array, check_positive
 from ..geometry import se3
-from ..geometry.operands import check_operand, check_view
+from ..geometry.operands import check_view
 from ..types import Camera
-from .features import DESCRIPTOR_BYTES, Features, check_features, depth_sigma
+from .features import DESCRIPTOR_BYTES, Features, check_features
+from .landmark_pose import LandmarkRows, inverse_or_zero, landmark_pose, landmark_sums
 
 MAX_HAMMING = 64
 """Descriptors that differ in more of their 256 bits are not the same point."""
@@ -30,55 +31,6 @@ RANSAC_ROUNDS = 150
 
 MIN_PAIRS = 8
 """Smallest number of matches for a pose."""
-
-GATE_CHI2 = 9.21
-"""A point agrees if the squares of its two pixel errors, in standard deviations, sum to less (99 %)."""
-
-GATE_DEPTH = 3.0
-"""A point agrees if its depth error, in standard deviations, is also less than this."""
-
-CAUCHY = 2.4
-"""Larger errors, in standard deviations, get less weight (95 % efficiency for Gaussian errors)."""
-
-ROUNDS = 10
-LEAST_STEP = 1e-7
-"""``fit_pairs`` takes at most this many Gauss-Newton steps, and ends after one smaller than this, metres and
-radians."""
-
-DAMPING = 1e-9
-"""Added to the diagonal of its normal equations."""
-
-NEAREST_M = 0.05
-"""Points nearer than this, or behind the camera, give no error."""
-
-LEAST_DEPTH_SIGMA_M = 1e-4
-"""Smallest standard deviation of a depth error, metres."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PointPairs:
-    """3D points in a reference camera frame, and their pixels in the query image. One row each, float64."""
-
-    xyz_R: Float[Tensor, "P 3"]
-    """Reference camera frame, metres."""
-    uv: Float[Tensor, "P 2"]
-    """Position in the query image, pixels."""
-    depth_m: Float[Tensor, " P"]
-    """Measured depth at that pixel, metres; 0 where there is none."""
-    sigma_px: Float[Tensor, " P"]
-    """Standard deviation of ``uv``, with that of the reference pixel included, pixels."""
-
-    @staticmethod
-    def of(query: Features, reference: Features, rows: Int[Tensor, "P 2"]) -> "PointPairs":
-        """Pairs of (query row, reference row); the reference rows must have depth."""
-        q, r = rows.T
-        sigma_px = (query.sigma_px[q].square() + reference.sigma_px[r].square()).sqrt()
-        return PointPairs(
-            xyz_R=reference.xyz_C[r].double(),
-            uv=query.uv[q].double(),
-            depth_m=query.xyz_C[q, 2].double() * query.has_depth[q],
-            sigma_px=sigma_px.double(),
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,135 +98,67 @@ def relative_pose(camera: Camera, query: Features, reference: Features) -> Relat
 
     Differentiable: no.
     """
-    rows = match_features(query, reference)
-    rows = rows[reference.has_depth[rows[:, 1]]]
-    if len(rows) < MIN_PAIRS:
+    pairs = match_features(query, reference)
+    pairs = pairs[reference.has_depth[pairs[:, 1]]]
+    if len(pairs) < MIN_PAIRS:
         return None
-    pairs = PointPairs.of(query, reference, rows)
-    T_RQ = _ransac(camera, pairs)
-    return None if T_RQ is None else refine_pose(camera, pairs, T_RQ, rows)
+    rows = rows_of(camera, query, reference, pairs)
+    T_RQ = _ransac(rows)
+    return None if T_RQ is None else refine_pose(rows, T_RQ, pairs)
 
 
-def refine_pose(
-    camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"], rows: Int[Tensor, "P 2"]
-) -> RelativePose | None:
-    """The pose of ``fit_pairs``; None if fewer than ``MIN_PAIRS`` agree with it.
+def rows_of(camera: Camera, query: Features, reference: Features, pairs: Int[Tensor, "P 2"]) -> LandmarkRows:
+    """Points of the reference view, in its camera's frame, where the query view shows them.
 
     Args:
-        camera: Intrinsics of the query view.
-        pairs: Points and their pixels.
+        camera: Intrinsics of both views.
+        query, reference: Their features.
+        pairs: (query row, reference row); the reference rows must have depth. [P, 2]
+    """
+    q, r = pairs.T
+    sigma_px = (query.sigma_px[q].square() + reference.sigma_px[r].square()).sqrt()
+    return LandmarkRows(
+        camera=camera,
+        xyz_W=reference.xyz_C[r].double().numpy(),
+        uv=query.uv[q].double().numpy(),
+        inverse_depth=inverse_or_zero((query.xyz_C[q, 2].double() * query.has_depth[q]).numpy()),
+        sigma_px=sigma_px.double().numpy(),
+    )
+
+
+def refine_pose(rows: LandmarkRows, T_RQ: Float[Tensor, "4 4"], pairs: Int[Tensor, "P 2"]) -> RelativePose | None:
+    """The pose of ``landmark_pose``; None if fewer than ``MIN_PAIRS`` agree with it.
+
+    Args:
+        rows: Points in the reference camera's frame, where the query view shows them.
         T_RQ: Starting pose, query camera to reference camera. [4, 4]
-        rows: The matches; those that agree are returned as ``RelativePose.rows``. [P, 2]
+        pairs: The matches; those that agree are returned as ``RelativePose.rows``. [P, 2]
 
     Returns:
         Pose, information matrix and the matches that agree.
     """
-    T, H = fit_pairs(camera, pairs, T_RQ)
-    agrees = is_inlier(camera, pairs, T)
-    if int(agrees.sum()) < MIN_PAIRS or not bool(torch.isfinite(T).all()):
+    T = landmark_pose(rows, T_RQ)
+    if not bool(torch.isfinite(T).all()):
         return None
-    return RelativePose(T_RQ=T, information=H, rows=rows[agrees], n_matches=len(rows))
+    agrees = torch.from_numpy(rows.agree(T))
+    if int(agrees.sum()) < MIN_PAIRS:
+        return None
+    H = landmark_sums(rows, T, T[:3, 3]).H
+    axes = torch.block_diag(T[:3, :3], T[:3, :3])  # from the reference's axes to those of the query camera
+    information = (axes.T @ H @ axes)[_ROTATION_FIRST][:, _ROTATION_FIRST]
+    return RelativePose(T_RQ=T, information=information, rows=pairs[agrees], n_matches=len(pairs))
 
 
-def check_pairs(camera: Any, pairs: Any, T_RQ: Any) -> None:
-    """Raise ``ValueError`` for arguments that ``fit_pairs`` refuses."""
-    cpu = torch.device("cpu")
-    check_view(camera, T_RQ, cpu)
-    if not isinstance(pairs, PointPairs):
-        raise ValueError(f"pairs must be PointPairs, got {type(pairs).__name__}")
-    check_operand("uv", pairs.uv, ("P", 2), dtypes=(torch.float64,), device=cpu)
-    n = len(pairs.uv)
-    for name, shape in (("xyz_R", (n, 3)), ("depth_m", (n,)), ("sigma_px", (n,))):
-        check_operand(name, getattr(pairs, name), shape, dtypes=(torch.float64,), device=cpu)
+_ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
 
 
-@op("relative_pose", check_pairs)
-def fit_pairs(
-    camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]
-) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "6 6"]]:
-    """Least squares over pixel and depth errors with Cauchy weights, by Gauss-Newton from ``T_RQ``.
-
-    With y = T_RQ^-1 x the point in the query camera, the errors in standard deviations are the two of its pixel and
-    (y_z - z) / sigma_z, sigma_z^2 = (1.6e-3 y_z^2)^2 + (1.6e-3 x_z^2)^2 + (sigma_px y_z / f)^2; the
-    last term is the depth error that an error of the pixel causes on a surface at 45 degrees.
-
-    Args:
-        camera: Intrinsics of the query view.
-        pairs: Points and their pixels.
-        T_RQ: Starting pose, query camera to reference camera. [4, 4]
-
-    Returns:
-        Pose, and the normal equations' matrix of the last step: its information, see ``RelativePose``. float64
-
-    Differentiable: no.
-    """
-    T, eye = T_RQ.double(), torch.eye(6, dtype=torch.float64)
-    H = eye
-    for _ in range(ROUNDS):
-        error, J = pose_errors(camera, pairs, T)
-        weight = 1.0 / (1.0 + (error / CAUCHY).square())
-        H = torch.einsum("pe,pei,pej->ij", weight, J, J) + DAMPING * eye
-        step = torch.linalg.solve(H, -torch.einsum("pe,pei,pe->i", weight, J, error))
-        T = T @ se3.exp(torch.cat([step[3:], step[:3]]))
-        if float(step.abs().max()) < LEAST_STEP:
-            break
-    return T, H
-
-
-def pose_errors(
-    camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]
-) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3 6"]]:
-    """Pixel and depth errors in standard deviations (see ``fit_pairs``), and their derivative.
-
-    The derivative is with respect to xi in T_RQ exp(xi), rotation first: y = T_RQ^-1 x moves by
-    dy = [y]x dw - dv. Rows behind the camera, and depth errors without a depth, are zero.
-
-    Returns:
-        Errors [P, 3] and Jacobian [P, 3, 6].
-    """
-    error, scale, y, _ = _errors(camera, pairs, T_RQ)
-    z, zero = y[:, 2], torch.zeros_like(y[:, 2])
-    du = torch.stack([camera.fx / z, zero, -camera.fx * y[:, 0] / z**2], 1)
-    dv = torch.stack([zero, camera.fy / z, -camera.fy * y[:, 1] / z**2], 1)
-    dz = torch.stack([zero, zero, torch.ones_like(z)], 1)
-    by_y = torch.stack([du, dv, dz], 1) * scale[..., None]
-    dy = torch.cat([se3.hat(y), -torch.eye(3, dtype=y.dtype).expand(len(y), 3, 3)], 2)
-    return error, by_y @ dy
-
-
-def is_inlier(camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]) -> Tensor:
-    """Which rows agree with the pose: in front, pixels within 99 %, depth (where known) within 3 sigma. [P]"""
-    error, _, _, ahead = _errors(camera, pairs, T_RQ)
-    return ahead & (error[:, :2].square().sum(1) < GATE_CHI2) & (error[:, 2].abs() < GATE_DEPTH)
-
-
-def _errors(camera: Camera, pairs: PointPairs, T_RQ: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Errors [P, 3], the factor that scales each, the points in the query camera, (0, 0, 1) in place of those
-    behind it [P, 3], and which are in front [P]."""
-    y = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)
-    ahead = y[:, 2] > NEAREST_M
-    y = torch.where(ahead[:, None], y, y.new_tensor([0.0, 0.0, 1.0]))
-    known = pairs.depth_m > 0
-    scale = torch.stack([1 / pairs.sigma_px, 1 / pairs.sigma_px, known / _depth_sigma(camera, pairs)], 1)
-    scale = scale * ahead[:, None]
-    u = camera.fx * y[:, 0] / y[:, 2] + camera.cx - pairs.uv[:, 0]
-    v = camera.fy * y[:, 1] / y[:, 2] + camera.cy - pairs.uv[:, 1]
-    return torch.stack([u, v, y[:, 2] - pairs.depth_m], 1) * scale, scale, y, ahead
-
-
-def _depth_sigma(camera: Camera, pairs: PointPairs) -> Tensor:
-    measured, known = depth_sigma(pairs.depth_m), depth_sigma(pairs.xyz_R[:, 2])
-    slope = pairs.sigma_px * pairs.depth_m / camera.fx
-    return (measured.square() + known.square() + slope.square()).sqrt().clamp_min(LEAST_DEPTH_SIGMA_M)
-
-
-def _ransac(camera: Camera, pairs: PointPairs) -> Float[Tensor, "4 4"] | None:
+def _ransac(rows: LandmarkRows) -> Float[Tensor, "4 4"] | None:
     import cv2
 
     found, rotation, translation, inliers = cv2.solvePnPRansac(
-        pairs.xyz_R.numpy(),
-        pairs.uv.numpy(),
-        camera.K.numpy(),  # pixels and K use the same convention
+        rows.xyz_W,
+        rows.uv,
+        rows.camera.K.numpy(),  # pixels and K use the same convention
         None,
         iterationsCount=RANSAC_ROUNDS,
         reprojectionError=RANSAC_PX,

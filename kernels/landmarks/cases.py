@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tracking.bundle_adjustment import LandmarkRows, landmark_pose, landmark_sums
+from gsfusion_nb.tracking.landmark_pose import LandmarkRows, landmark_pose, landmark_sums
 
 from ..runtime.cases import Case, make_sighted_points
 

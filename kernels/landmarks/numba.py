@@ -1,6 +1,6 @@
 """Sums over the landmarks that a frame sees, and the pose at which they fit best, in float64.
 
-The formulas are those of ``gsfusion_nb.tracking.bundle_adjustment``. A frame sees some hundred landmarks, so one thread
+The formulas are those of ``gsfusion_nb.tracking.landmark_pose``. A frame sees some hundred landmarks, so one thread
 takes them in order; whole Gauss-Newton steps run without leaving the kernel.
 """
 
@@ -14,7 +14,8 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from gsfusion_nb.tracking.bundle_adjustment import (
+from gsfusion_nb.tracking.features import DEPTH_SIGMA_PER_M
+from gsfusion_nb.tracking.landmark_pose import (
     CAUCHY,
     DAMPING,
     NEAREST_M,
@@ -23,7 +24,6 @@ from gsfusion_nb.tracking.bundle_adjustment import (
     LandmarkRows,
     LandmarkSums,
 )
-from gsfusion_nb.tracking.features import DEPTH_SIGMA_PER_M
 
 from ..runtime.arguments import lens_of
 from ..runtime.numba.scalars import solve_into, turn_about_camera
@@ -41,7 +41,7 @@ class Rows(NamedTuple):
 
 
 def landmark_sums(rows: LandmarkRows, T_WC: Tensor, centre: Tensor | None = None) -> LandmarkSums:
-    """See ``gsfusion_nb.tracking.bundle_adjustment.landmark_sums``."""
+    """See ``gsfusion_nb.tracking.landmark_pose.landmark_sums``."""
     H, b = np.empty((6, 6)), np.empty(6)
     about = np.zeros(3) if centre is None else centre.detach().cpu().double().numpy()
     cost = _sums(_columns(rows), _numbers(T_WC), lens_of(rows.camera), about, H, b)
@@ -49,7 +49,7 @@ def landmark_sums(rows: LandmarkRows, T_WC: Tensor, centre: Tensor | None = None
 
 
 def landmark_pose(rows: LandmarkRows, T_WC: Tensor) -> Tensor:
-    """See ``gsfusion_nb.tracking.bundle_adjustment.landmark_pose``."""
+    """See ``gsfusion_nb.tracking.landmark_pose.landmark_pose``."""
     T = _numbers(T_WC).copy()
     _fit(_columns(rows), T, lens_of(rows.camera))
     return torch.from_numpy(T)

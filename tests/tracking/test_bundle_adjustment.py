@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from gsfusion_nb.geometry import project, se3
-from gsfusion_nb.tracking.bundle_adjustment import CAUCHY, LandmarkRows, adjust, landmark_pose, landmark_sums
+from gsfusion_nb.tracking.bundle_adjustment import adjust
+from gsfusion_nb.tracking.landmark_pose import CAUCHY, LandmarkRows, landmark_pose, landmark_sums
 from gsfusion_nb.tracking.landmarks import Observations
 from gsfusion_nb.types import Camera
 

@@ -6,10 +6,10 @@ import torch
 from gsfusion_nb.data.room import room
 from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.geometry import project, se3
-from gsfusion_nb.tracking.bundle_adjustment import landmark_sums
 from gsfusion_nb.tracking.features import Features, extract_features
 from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
 from gsfusion_nb.tracking.landmark_map import LandmarkMap
+from gsfusion_nb.tracking.landmark_pose import landmark_sums
 from gsfusion_nb.tracking.landmarks import Landmarks
 from gsfusion_nb.types import Camera
 
