@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from ..work import GROWTH, available_memory
+from ..work import available_memory
 
 BLOCK_VOXELS = 8
 """Edge of a voxel block, voxels (Supereight2; GSFusion section III-A)."""
@@ -22,6 +22,10 @@ would save memory, but converting them takes too long."""
 W_RGB_BYTES = VOXELS_PER_BLOCK * 4
 
 _FIRST_CAPACITY = 1024
+_GROWTH = {"cpu": (8.0, 2.0, 1.25, 1.05), "cuda": (1.25, 1.05)}
+"""Factors of growth by kind of device, the first that memory allows. On a processor spare rows take no memory before
+they are first written to. Large steps copy seldom and early, when there is little to copy, so the volume can fill nearly
+all memory: doubling alone ends near half of it. The smallest step keeps the copies rare when memory is nearly full."""
 
 
 class BlockPool:
@@ -37,11 +41,6 @@ class BlockPool:
         self.rgb = torch.empty(capacity, 3, VOXELS_PER_BLOCK, device=device)
         self.W_rgb = torch.empty(capacity, VOXELS_PER_BLOCK, device=device) if weighs_colours else None
         self.coords = torch.empty(capacity, 3, dtype=torch.int32, device=device)
-
-    @property
-    def memory_bytes(self) -> int:
-        """Memory of all rows, bytes (spare rows take no memory before they are first written to)."""
-        return estimate_memory(self.capacity, weighs_colours=self.W_rgb is not None)
 
     def hand_out(self, first: int, coords: Int[Tensor, "M 3"]) -> None:
         """Fill the rows from ``first`` on as those of blocks that were never observed."""
@@ -68,7 +67,8 @@ class BlockPool:
             return self
         device = self.D.device
         free = available_memory(device)
-        for capacity in (max(n_blocks, int(GROWTH[device.type] * self.capacity), _FIRST_CAPACITY), n_blocks):
+        grown = [int(factor * max(n_blocks, _FIRST_CAPACITY)) for factor in _GROWTH[device.type]]
+        for capacity in (*grown, n_blocks):
             size = estimate_memory(capacity, weighs_colours=self.W_rgb is not None)
             if (limit_bytes is None or size <= limit_bytes) and (free is None or size <= free):
                 with contextlib.suppress(RuntimeError, MemoryError):  # torch may get less than is free

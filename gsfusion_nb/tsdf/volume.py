@@ -15,7 +15,7 @@ from ..backends import op, piece
 from ..checks import check_saved, check_shape
 from ..config import TsdfConfig, from_dict, to_dict
 from ..geometry.operands import check_operand
-from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK, BlockPool
+from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK, BlockPool, estimate_memory
 from .octree import BlockIndex, NewBlocks, encode
 
 CORNERS = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)])
@@ -123,8 +123,8 @@ class TsdfVolume:
 
     @property
     def memory_bytes(self) -> int:
-        """Memory of the pool, bytes, with its spare rows (which take no memory before they are first written to)."""
-        return self._pool.memory_bytes
+        """Memory of the blocks, bytes, without the pool's spare rows."""
+        return estimate_memory(self.n_blocks, weighs_colours=self.config.weighs_colours)
 
     def add_blocks(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, " K"]:
         """Allocate the blocks at ``coords`` that do not exist yet; returns their rows.

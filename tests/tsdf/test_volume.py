@@ -29,13 +29,21 @@ def test_values_survive_growth(generator):
     for i in range(6):
         volume.add_blocks(torch.randint(-40, 40, (900, 3), generator=generator) + 100 * i)
     assert volume.n_blocks > 4000
-    assert volume.memory_bytes < 2 * estimate_memory(volume.n_blocks, weighs_colours=True) + estimate_memory(
-        1024, weighs_colours=True
-    )
+    assert volume.memory_bytes == estimate_memory(volume.n_blocks, weighs_colours=True)
     row = volume.index.find(torch.tensor([[7, 7, 7]]))
     assert bool((volume.D[row] == 0.25).all())
     assert bool((volume.W[row] == 3).all())
     assert float(volume.W.sum()) == 3 * 512
+
+
+@pytest.mark.parametrize("limit", [None, 10_000])
+def test_the_pool_is_copied_seldom_also_near_the_limit(limit):
+    volume = TsdfVolume(CONFIG, memory_limit_bytes=limit and estimate_memory(limit, weighs_colours=True))
+    pools = set()
+    for i in range(95):
+        volume.add_blocks(torch.tensor([[x, i, 0] for x in range(100)]))
+        pools.add(volume.D.data_ptr())
+    assert len(pools) < 12
 
 
 def test_refuses_to_outgrow_memory():
