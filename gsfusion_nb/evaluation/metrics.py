@@ -112,6 +112,7 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         "n_frames": _count("Frames mapped"),
         "n_blocks": _count("Voxel blocks"),
         "n_triangles": _count("Mesh triangles"),
+        "mesh_share": _share("Seen surface in the mesh", "The mesh is made from some of the views, which overlap."),
         "loss": Metric("Loss, instead of the system's own"),
         "optimiser": Metric("Optimiser, instead of Adam"),
     },

@@ -105,6 +105,8 @@ class Mapper(ABC):
     """The settings, a ``config_type``."""
     gaussians: Any
     """The Gaussian map, a ``model_type``."""
+    mesh_share: float | None = None
+    """Share of the surface seen that the last ``mesh`` has, where it is made from some of the views."""
 
     def __init__(
         self,

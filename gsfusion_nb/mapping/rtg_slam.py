@@ -1,6 +1,7 @@
 """RTG-SLAM (Peng et al. 2024): compact Gaussians, optimised while unstable, frame by frame in the paper's order."""
 
 import dataclasses
+import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from ..config import RtgSlamConfig, TsdfConfig, rtg_slam, rtg_slam_fidelity
 from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
-from ..geometry import se3
+from ..geometry import depth_to_points, se3
 from ..optim import Keyframe, TrainingView, fuse_with_history
 from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m, view_surface
 from ..seeding import SeedContext
@@ -25,7 +26,7 @@ from .step import StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser
 
 MESH_VIEWS = 60
-"""Number of views whose rendered depth is fused to the mesh."""
+"""Fewest views whose rendered depth is fused to the mesh, if there are as many; a long walk has more."""
 
 KEYFRAME_DEG, KEYFRAME_M = 30.0, 0.3
 """A frame becomes a keyframe when the camera has turned, or its centre has moved, by this since the last one."""
@@ -304,16 +305,37 @@ class RTGSLAM(Mapper):
         return dataclasses.replace(output, surface_depth_m=depth_m)
 
     def mesh(self) -> Mesh:
-        """Surface of the map: depth rendered from about 60 poses along the whole trajectory, fused into a TSDF."""
+        """Surface of the map: depth rendered at poses along the trajectory, fused into a TSDF.
+
+        The poses are spread evenly. Where the camera has turned by half of its field of view since the last one, or
+        moved by half of the median depth in it, there is one more, so that neighbouring views overlap on any walk.
+        ``mesh_share`` becomes the share of the surface seen halfway between them whose voxels were observed.
+        """
         settings = TsdfConfig(voxel_size_m=self.config.mesh_voxel_m, truncation_voxels=4.0, near_m=0.2)
-        volume, poses = TsdfVolume(settings, device=self.device), self.localiser.poses
-        for index, T_WC in enumerate(poses[:: max(1, len(poses) // MESH_VIEWS)]):
-            assert self.camera is not None
-            view = self.surface(self.camera, T_WC)
+        volume, poses, camera = TsdfVolume(settings, device=self.device), self.localiser.poses, self.camera
+        stride, taken, near = max(1, len(poses) // MESH_VIEWS), [], (0.0, 0.0)
+        for index, T_WC in enumerate(poses):
+            assert camera is not None
+            moved = se3.motion(poses[taken[-1]], T_WC) if index % stride and T_WC is not poses[-1] else near
+            if moved[0] < near[0] and moved[1] < near[1]:
+                continue
+            view = self.surface(camera, T_WC)
             rgb, pose = view.rgb.clamp(0, 1), T_WC.to(self.device)
-            frame = Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=view.depth_m, camera=self.camera, T_WC=pose)
+            frame = Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=view.depth_m, camera=camera, T_WC=pose)
             integrate(volume, frame)
+            taken.append(index)
+            near = math.degrees(math.atan(0.5 * camera.width / camera.fx)), 0.5 * _median_depth_m(view)
+        between = [(a + b) // 2 for a, b in itertools.pairwise(taken) if b - a > 1]
+        observed = [self._observed(volume, poses[i]) for i in between[:: max(1, len(between) // 20)]]
+        self.mesh_share = float(torch.cat(observed).float().mean()) if observed else 1.0
         return extract_mesh(volume)
+
+    def _observed(self, volume: TsdfVolume, T_WC: Float[Tensor, "4 4"]) -> Bool[Tensor, " N"]:
+        """Whether the voxel of each surface point seen from a pose was observed; of every 16th pixel with depth."""
+        assert self.camera is not None
+        depth_m, T = self.surface(self.camera, T_WC).depth_m, T_WC.to(self.device)
+        xyz_W = se3.apply(T, depth_to_points(self.camera, depth_m))
+        return volume.sample_nearest(xyz_W[depth_m > 0][::16].contiguous()).W > 0
 
     @property
     def n_passes(self) -> int:
@@ -360,3 +382,9 @@ class RTGSLAM(Mapper):
 
 def _psnr_db(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:
     return psnr_from_mse(float((rgb.clamp(0, 1) - frame.rgb).square().mean()))
+
+
+def _median_depth_m(view: SurfaceView) -> float:
+    """Of the pixels with depth; infinite without any."""
+    known = view.depth_m[view.depth_m > 0]
+    return float(known.median()) if len(known) else math.inf

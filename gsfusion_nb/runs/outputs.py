@@ -200,6 +200,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         **run.mapper.counts(),
         **run.mapper.training.names,
         "n_triangles": len(mesh.faces),
+        **({} if run.mapper.mesh_share is None else {"mesh_share": run.mapper.mesh_share}),
         **frame_rates(seconds),
         **tracking_rates(run),
         **run.extra_metrics(),

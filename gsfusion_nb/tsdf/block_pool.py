@@ -24,8 +24,9 @@ W_RGB_BYTES = VOXELS_PER_BLOCK * 4
 _FIRST_CAPACITY = 1024
 _GROWTH = {"cpu": (8.0, 2.0, 1.25, 1.05), "cuda": (1.25, 1.05)}
 """Factors of growth by kind of device, the first that memory allows. On a processor spare rows take no memory before
-they are first written to. Large steps copy seldom and early, when there is little to copy, so the volume can fill nearly
-all memory: doubling alone ends near half of it. The smallest step keeps the copies rare when memory is nearly full."""
+they are first written to. Large steps copy seldom and early, when there is little to copy, so the volume can fill
+nearly all memory: doubling alone ends near half of it. The smallest step keeps copies rare when memory is nearly full.
+"""
 
 
 class BlockPool:

@@ -12,6 +12,7 @@ from gsfusion_nb.data.room import room, room_sdf
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.mapping import RTGSLAM, StepReport
 from gsfusion_nb.mapping import rtg_slam as rtg_slam_module
+from gsfusion_nb.tsdf import integrate
 from gsfusion_nb.types import Frame
 
 QUICK = {"window__iterations": 8, "keyframes__iterations": 4, "sh_degree": 1, "states__stable_confidence": 12.0}
@@ -69,6 +70,19 @@ def test_the_map_shows_what_was_seen(mapped, walk):
             assert sum(report.losses[-5:]) < sum(report.losses[:5])
     assert math.isnan(reports[0].psnr_before_db)
     assert reports[0].psnr_after_db > 20
+
+
+def test_a_long_walk_has_as_many_views_in_the_mesh_as_it_needs(mapped, walk, monkeypatch):
+    mapper, _ = mapped
+    all_views = mapper.mesh()
+    assert mapper.mesh_share == 1.0
+    fused = []
+    monkeypatch.setattr(rtg_slam_module, "MESH_VIEWS", 1)  # as if the walk were 60 times as long
+    monkeypatch.setattr(rtg_slam_module, "integrate", lambda *given: fused.append(integrate(*given)))
+    few_views = mapper.mesh()
+    assert 2 <= len(fused) < len(walk) / 2  # by its number alone it would be one
+    assert mapper.mesh_share > 0.95
+    assert len(few_views.faces) > 0.9 * len(all_views.faces)
 
 
 def test_the_surface_is_where_the_walls_are(mapped, walk):
