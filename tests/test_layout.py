@@ -19,7 +19,7 @@ FLOORS = {
     "data": 5,
     **dict.fromkeys(("recordings", "runs"), 6),
     **dict.fromkeys(("viz", "course"), 7),
-    **dict.fromkeys(("doctor", "compare"), 8),
+    "compare": 8,
     "cli": 9,
     "__main__": 10,
 }

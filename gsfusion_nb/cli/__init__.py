@@ -245,7 +245,7 @@ def _study(arguments: list[str]) -> int:
 
 
 def _doctor(arguments: list[str]) -> int:
-    from .. import doctor
+    from . import doctor
 
     options = parse_options(DoctorOptions, prog="gsfusion-nb doctor", arguments=arguments)
     return doctor.warm() if options.warm else doctor.main()

@@ -13,8 +13,8 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
-from gsfusion_nb import doctor as warm
 from gsfusion_nb.backends import BackendUnavailable, use_backend
+from gsfusion_nb.cli import doctor as warm
 
 EMULATES = [b for b, variable in backends._EMULATED_BY.items() if os.environ.get(variable)]
 """Backends for GPUs that this session of pytest runs on the processor; it is started for them alone."""

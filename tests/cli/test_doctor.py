@@ -2,7 +2,7 @@ import subprocess
 
 import pytest
 
-from gsfusion_nb import doctor
+from gsfusion_nb.cli import doctor
 from gsfusion_nb.viz.meshes import can_draw
 
 

@@ -5,8 +5,8 @@ import sys
 import pytest
 import torch
 
-from gsfusion_nb import backends, doctor
-from gsfusion_nb import doctor as warm
+from gsfusion_nb import backends
+from gsfusion_nb.cli import doctor
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def dispatched(monkeypatch):
 def test_the_cases_run_every_compiled_operation_and_the_mapper_needs_nothing_else(dispatched):
     pytest.importorskip("numba")
     covered, mappers = set(), []
-    for case in warm.warm_up_cases():
+    for case in doctor.warm_up_cases():
         if case.name.startswith("whole mapper"):
             mappers.append(case)
             continue
@@ -34,25 +34,25 @@ def test_the_cases_run_every_compiled_operation_and_the_mapper_needs_nothing_els
         case.run()
         assert set(case.operations) <= set(dispatched), case.name
         covered |= set(case.operations)
-    assert covered >= {name for name in backends.operations() if warm._is_compiled(name, "cpu")}
+    assert covered >= {name for name in backends.operations() if doctor._is_compiled(name, "cpu")}
     assert len(mappers) == 3
-    with warm._watching() as compiled:
+    with doctor._watching() as compiled:
         for mapper in mappers:
             mapper.run()
     assert compiled == []
 
 
 def test_progress_names_every_step_and_ends_at_the_total(monkeypatch):
-    few = warm._todo("cpu")[::12]
-    monkeypatch.setattr(warm, "warm_up_cases", lambda *device: iter(few))
+    few = doctor._todo("cpu")[::12]
+    monkeypatch.setattr(doctor, "warm_up_cases", lambda *device: iter(few))
     threads = torch.get_num_threads()
-    progress = list(warm.warm_up())
+    progress = list(doctor.warm_up())
     assert [p.done for p in progress] == list(range(len(few) + 1))
     assert {p.total for p in progress} == {len(few)}
     assert all(p.name for p in progress[:-1])
     assert not progress[-1].name
     assert torch.get_num_threads() == threads
-    again = list(warm.warm_up())[-1]
+    again = list(doctor.warm_up())[-1]
     assert again.compiled == ()
 
 

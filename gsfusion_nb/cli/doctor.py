@@ -19,11 +19,11 @@ from dataclasses import dataclass
 
 import torch
 
-from . import __version__, backends
-from .config import SystemConfig, gps_slam, gsfusion, rtg_slam
-from .mapping import make_mapper
-from .types import Camera, Frame
-from .work import ProgressDisplay
+from .. import __version__, backends
+from ..config import SystemConfig, gps_slam, gsfusion, rtg_slam
+from ..mapping import make_mapper
+from ..types import Camera, Frame
+from ..work import ProgressDisplay
 
 PACKAGES = (
     "torch", "numpy", "numba", "opencv-python-headless", "kornia", "matplotlib", "jupyterlab",
@@ -135,7 +135,7 @@ def _torch() -> list[EnvironmentCheck]:
 
 
 def _backends() -> list[EnvironmentCheck]:
-    from . import optim, render, seeding, tracking, tsdf  # noqa: F401  (importing them declares their operations)
+    from .. import optim, render, seeding, tracking, tsdf  # noqa: F401  (importing them declares their operations)
 
     checks = [EnvironmentCheck("backends", True, f"chosen: {backends.from_environment()}")]
     for name, backend, state in backends.report():
@@ -144,7 +144,7 @@ def _backends() -> list[EnvironmentCheck]:
 
 
 def _drawing() -> EnvironmentCheck:
-    from .viz.meshes import can_draw
+    from ..viz.meshes import can_draw
 
     ok, why = can_draw()
     remedy = "until this works, notebooks and reports have no pictures of meshes"
@@ -277,7 +277,7 @@ def _watching() -> Iterator[list[str]]:
     class Listener(event.Listener):
         def on_start(self, event):
             function = event.data["dispatcher"].py_func
-            if function.__module__.startswith(f"{__package__}.kernels"):
+            if function.__module__.startswith("gsfusion_nb.kernels"):
                 names.append(f"{function.__module__.split('.')[-2]}.{function.__name__}")
 
         def on_end(self, event):
