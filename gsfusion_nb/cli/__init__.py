@@ -140,12 +140,14 @@ def _main(arguments: list[str]) -> int:
         print(_USAGE)
         return 0
     name, *rest = arguments
-    if name not in (*_MODULES, *_COMMANDS):
+    if name not in (*_MODULES, *_COMMANDS, *_COMPARING):
         print(f"no command {name!r}\n\n{_USAGE}", file=sys.stderr)
         return 2
     try:
         if name in _MODULES:
             return importlib.import_module(f".{name}", __package__).run(rest)
+        if name in _COMPARING:
+            return _compare(name, rest)
         return _COMMANDS[name](rest)
     except BrokenPipeError:
         raise
@@ -220,28 +222,11 @@ def _eval(arguments: list[str]) -> int:
     return 0
 
 
-def _bench(arguments: list[str]) -> int:
-    from ..compare import bench
-
-    return bench.main(parse_options(bench.BenchOptions, prog="gsfusion-nb bench", arguments=arguments))
-
-
-def _lab(arguments: list[str]) -> int:
-    from ..compare import command
-
-    return command.main(parse_options(command.LabOptions, prog="gsfusion-nb lab", arguments=arguments))
-
-
-def _sweep(arguments: list[str]) -> int:
-    from ..compare import studies
-
-    return studies.sweep(parse_options(studies.SweepOptions, prog="gsfusion-nb sweep", arguments=arguments))
-
-
-def _study(arguments: list[str]) -> int:
-    from ..compare import studies
-
-    return studies.study(parse_options(studies.StudyOptions, prog="gsfusion-nb study", arguments=arguments))
+def _compare(name: str, arguments: list[str]) -> int:
+    module, function, options = _COMPARING[name]
+    found = importlib.import_module(f"gsfusion_nb.compare.{module}")
+    parsed = parse_options(getattr(found, options), prog=f"gsfusion-nb {name}", arguments=arguments)
+    return getattr(found, function)(parsed)
 
 
 def _doctor(arguments: list[str]) -> int:
@@ -254,6 +239,10 @@ def _doctor(arguments: list[str]) -> int:
 _MODULES = ("map", "live", "export", "course", "grade")
 """Commands that are modules of this package, with a function ``run``."""
 _COMMANDS = {
-    "demo": _demo, "convert": _convert, "check": _check, "offset": _offset, "eval": _eval, "bench": _bench,
-    "lab": _lab, "sweep": _sweep, "study": _study, "doctor": _doctor,
+    "demo": _demo, "convert": _convert, "check": _check, "offset": _offset, "eval": _eval, "doctor": _doctor,
 }  # fmt: skip
+_COMPARING = {
+    "lab": ("command", "main", "LabOptions"), "sweep": ("studies", "sweep", "SweepOptions"),
+    "study": ("studies", "study", "StudyOptions"), "bench": ("bench", "main", "BenchOptions"),
+}  # fmt: skip
+"""Command -> its module in ``compare``, function, and class of options."""

@@ -180,10 +180,12 @@ def warm_up(device: str = "cpu") -> Iterator[WarmUpProgress]:
     """Run the cases of all operations that have compiled kernels on ``device``, reporting before each and at the end.
 
     A generator, so that the caller draws the progress. Uses what ``auto`` would choose, and leaves out what is not
-    installed.
+    installed. On one thread: on so little data more gain nothing, and on a busy machine they wait for each other.
     """
+    from ..compare.bench.timing import threads
+
     todo, start = _todo(device), time.perf_counter()
-    with backends.use_backend("auto"), _quietly(), _one_thread(), _watching() as compiled:
+    with backends.use_backend("auto"), _quietly(), threads(1), _watching() as compiled:
         for done, name in enumerate([*(case.name for case in todo), ""]):
             seconds = time.perf_counter() - start
             yield WarmUpProgress(name=name, done=done, total=len(todo), compiled=tuple(compiled), seconds=seconds)
@@ -251,17 +253,6 @@ def _quietly() -> Iterator[None]:
         yield
     finally:
         logger.setLevel(before)
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """On so little data threads gain nothing, and on a busy machine they wait for each other."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @contextlib.contextmanager

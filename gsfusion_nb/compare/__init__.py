@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .entries import Entrant as Entrant
+    from .entries import compare_rules as compare_rules
     from .entries import entries_of as entries_of
     from .live_table import LiveTable as LiveTable
     from .one_run import run_spec as run_spec
-    from .results import compare_rules as compare_rules
     from .spec import Budget as Budget
     from .spec import RunResult as RunResult
     from .spec import RunSpec as RunSpec
@@ -21,7 +21,7 @@ _LAZY = {
     "RunResult": ".spec",
     "RunSpec": ".spec",
     "compare": ".statistics",
-    "compare_rules": ".results",
+    "compare_rules": ".entries",
     "entries_of": ".entries",
     "run_spec": ".one_run",
 }

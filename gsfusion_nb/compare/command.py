@@ -1,5 +1,7 @@
 """``gsfusion-nb lab``: a comparison from a file, with all its outputs in a folder."""
 
+import itertools
+import statistics
 import sys
 import time
 from collections.abc import Sequence
@@ -13,7 +15,7 @@ from ..backends import from_environment, use_backend
 from ..files import write_file
 from ..runs.run_folder import RunFolder
 from .executors import NoWorkerError, executor
-from .map_scene import Entry
+from .map_scene import Entry, budgeted, map_scene
 from .outputs import Results, Table
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec
@@ -22,6 +24,8 @@ from .tune import is_tuned
 
 RENEW_S = 30.0
 """Seconds between two writings of the tables while runs are done."""
+TIMED_FRAMES = 5
+"""Frames by which the time of runs is judged where the store has none of their scene and system."""
 TUNED_RUNS = 4.0
 """Work of a run whose size is tuned, in runs."""
 
@@ -91,6 +95,8 @@ def run_and_write(
         renewed_s = began
         todo = {i: TUNED_RUNS if is_tuned(spec) else 1.0 for i, spec in enumerate(specs)}
         try:
+            print(announced(specs, store, options.jobs), flush=True)
+            began = renewed_s = time.perf_counter()
             with executor(options.jobs, options.dask) as where:
                 for i, result in run_all([Entry(spec=spec) for spec in specs], store, where):
                     results[i] = result
@@ -120,12 +126,38 @@ def run_and_write(
     return 1 if failed or lost else 0, done
 
 
+def announced(specs: Sequence[RunSpec], store: ResultStore, jobs: int = 1) -> str:
+    """How many runs are not in the store, and about how long they take: as earlier ones of the same scene and system,
+    else as a few frames of the first of them."""
+    left = list({spec.key: spec for spec in specs if store.find(spec) is None}.values())
+    known = store.seconds() if left else {}
+    new = next((spec for spec in left if (spec.scene, spec.system) not in known), None)
+    others_s = 0.0 if new is None else frames_s(new)
+    seconds = sum((TUNED_RUNS if is_tuned(s) else 1.0) * known.get((s.scene, s.system), others_s) for s in left)
+    return f"{len(left)} of {len(specs)} runs to compute{f', {_about(seconds / jobs)}' if seconds else ''}"
+
+
+def frames_s(spec: RunSpec) -> float:
+    """About how long the frames of a run take, judged by the first few; 0 if it fails on these."""
+    steps, entry = map_scene(Entry(spec=spec), budgeted(spec), scratch=True), Entry(spec=spec)
+    try:
+        reports = [report for report in itertools.islice(steps, TIMED_FRAMES) if report is not None]
+        return statistics.fmean(report.total_seconds for report in reports) * len(entry.opened().mapping)
+    except Exception:  # a user's rule may raise anything; the run itself says what
+        return 0.0
+    finally:
+        steps.close()
+
+
 def _left(work: float, done: float, elapsed_s: float) -> str:
     """How long the rest will take, judged by what was computed so far; empty before that, and at the end."""
     if not (work and done):
         return ""
-    minutes = elapsed_s * work / done / 60
-    return f"; about {60 * minutes:.0f} s left" if minutes < 1.5 else f"; about {minutes:.0f} min left"
+    return f"; {_about(elapsed_s * work / done)} left"
+
+
+def _about(seconds: float) -> str:
+    return f"about {seconds:.0f} s" if seconds < 90 else f"about {seconds / 60:.0f} min"
 
 
 def describe(result: RunResult) -> str:

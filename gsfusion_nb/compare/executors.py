@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, cast, runtime_checkable
+from typing import Any, Literal, cast
 
 from ..backends import use_backend
 from ..mapping import StepReport
@@ -118,19 +118,6 @@ _LOOK_S = 1.0
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
-@runtime_checkable
-class Executor(Protocol):
-    """Does tasks: runs before tunings, so that the first results are there early; otherwise by their numbers."""
-
-    def put(self, number: int, task: Task) -> None:
-        """Add a task."""
-        ...
-
-    def get(self) -> tuple[int, Answer]:
-        """Wait for the next answer."""
-        ...
-
-
 class InProcess:
     """One task after another, in this process; ``on_step`` is called with the task before it, and after each frame."""
 
@@ -172,6 +159,10 @@ class OnFutures:
         if error is None:
             return number, future.result()
         return number, Answer(reason=f"its process was lost: {type(error).__name__}: {error}")
+
+
+Executor = InProcess | OnFutures
+"""Does tasks: runs before tunings, so that the first results are there early; otherwise by their numbers."""
 
 
 @contextlib.contextmanager

@@ -1,5 +1,6 @@
 """One run over a sequence: the loop over frames, timing, interruption, checkpoints. ``outputs`` writes the results."""
 
+import copy
 import dataclasses
 import logging
 import time
@@ -25,6 +26,10 @@ MAX_BAD_FRAMES_IN_A_ROW = 20
 """After more unusable frames in a row than this, the run stops."""
 READ_AHEAD = 4
 """Number of frames of a recording on disk that another thread decodes in advance."""
+_PLAIN = (
+    "global_losses", "online_scores", "warnings", "next_position", "bad_in_a_row", "seconds_global", "is_optimised"
+)  # fmt: skip
+"""Fields of a run that a checkpoint holds as they are."""
 
 
 @runtime_checkable
@@ -245,15 +250,9 @@ class MappingRun:
         return {
             "data_files": self._data_files,
             "steps": self._step_log.state_dict(self.steps),
-            "global_losses": list(self.global_losses),
             "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),
-            "online_scores": dict(self.online_scores),
             "timestamps_s": torch.tensor(self.timestamps_s, dtype=torch.float64),
-            "warnings": list(self.warnings),
-            "next_position": self.next_position,
-            "bad_in_a_row": self.bad_in_a_row,
-            "seconds_global": self.seconds_global,
-            "is_optimised": self.is_optimised,
+            **{name: copy.copy(getattr(self, name)) for name in _PLAIN},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -272,15 +271,10 @@ class MappingRun:
             raise ValueError("warnings must be strings")
         if not isinstance(state["is_optimised"], bool):
             raise ValueError(f"is_optimised must be True or False, got {shown(state['is_optimised'])}")
-        self.global_losses = state["global_losses"]
         self._pass_losses = list(state["pass_losses"].to(self.mapper.device))
-        self.online_scores = state["online_scores"]
         self.timestamps_s = state["timestamps_s"].tolist()
-        self.warnings = state["warnings"]
-        self.next_position = state["next_position"]
-        self.bad_in_a_row = state["bad_in_a_row"]
-        self.seconds_global = state["seconds_global"]
-        self.is_optimised = state["is_optimised"]
+        for name in _PLAIN:
+            setattr(self, name, state[name])
 
     def _passed(self, frame: Frame | None) -> None:
         """Count a frame that was mapped, or could not be used (None)."""
