@@ -1,5 +1,6 @@
 """``gsfusion-nb lab``: a comparison from a file, with all its outputs in a folder."""
 
+import contextlib
 import itertools
 import statistics
 import sys
@@ -139,14 +140,12 @@ def announced(specs: Sequence[RunSpec], store: ResultStore, jobs: int = 1) -> st
 
 def frames_s(spec: RunSpec) -> float:
     """About how long the frames of a run take, judged by the first few; 0 if it fails on these."""
-    steps, entry = map_scene(Entry(spec=spec), budgeted(spec), scratch=True), Entry(spec=spec)
-    try:
-        reports = [report for report in itertools.islice(steps, TIMED_FRAMES) if report is not None]
-        return statistics.fmean(report.total_seconds for report in reports) * len(entry.opened().mapping)
-    except Exception:  # a user's rule may raise anything; the run itself says what
-        return 0.0
-    finally:
-        steps.close()
+    entry = Entry(spec=spec)
+    with contextlib.suppress(Exception):  # a user's rule may raise anything; the run itself says what
+        steps = itertools.islice(map_scene(entry, budgeted(spec), scratch=True), TIMED_FRAMES)
+        seconds = [report.total_seconds for report in steps if report is not None]
+        return statistics.fmean(seconds) * len(entry.opened().mapping)
+    return 0.0
 
 
 def _left(work: float, done: float, elapsed_s: float) -> str:

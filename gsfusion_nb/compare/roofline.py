@@ -204,11 +204,13 @@ def kernel_points(
                 continue
             with use_backend(backend), threads(1):
                 seconds = fastest_s(work.run, repeats=repeats, device=device)
-            point = KernelPoint(
-                name=work.name, backend=backend, flops=work.flops, bytes=work.bytes, seconds=seconds
-            )  # fmt: skip
-            points.append(point)
+            points.append(
+                KernelPoint(name=work.name, backend=backend, flops=work.flops, bytes=work.bytes, seconds=seconds)
+            )
     return points
+
+
+_COLOURS = {"reference": "#3d85c6", "numba": "#d1495b", "triton": "#8e5bb5"}
 
 
 def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
@@ -228,26 +230,19 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
     axes.annotate(f"{roofs.gflops:.0f} Gflop/s", (high, roofs.gflops), xytext=(-4, 6), textcoords="offset points",
                   ha="right", fontsize=9)  # fmt: skip
     for backend in dict.fromkeys(p.backend for p in points):
-        _kernels(axes, [p for p in points if p.backend == backend], backend)
+        own, colour = [p for p in points if p.backend == backend], _COLOURS.get(backend, "#6a9e1f")
+        inside = "none" if backend == "reference" else colour
+        axes.scatter([p.intensity for p in own], [p.gflops for p in own], s=60, edgecolors=colour, facecolors=inside,
+                     linewidths=1.6, label=backend, zorder=3)  # fmt: skip
+        for p in own if backend != "reference" else ():
+            axes.annotate(p.name, (p.intensity, p.gflops), xytext=(9, -3), textcoords="offset points",
+                          ha="left", fontsize=8)  # fmt: skip
     axes.set(xscale="log", yscale="log", xlabel="intensity, flop per byte", ylabel="Gflop/s")
     axes.set_ylim(top=roofs.gflops * 3)
     axes.grid(True, which="major", alpha=0.3)
     if points:
         axes.legend(loc="lower right", frameon=False, fontsize=9)
     return figure
-
-
-_COLOURS = {"reference": "#3d85c6", "numba": "#d1495b", "triton": "#8e5bb5"}
-
-
-def _kernels(axes, points: list[KernelPoint], backend: str) -> None:
-    colour = _COLOURS.get(backend, "#6a9e1f")
-    inside = "none" if backend == "reference" else colour
-    x, y = [p.intensity for p in points], [p.gflops for p in points]
-    axes.scatter(x, y, s=60, edgecolors=colour, facecolors=inside, linewidths=1.6, label=backend, zorder=3)
-    for p in points if backend != "reference" else ():
-        axes.annotate(p.name, (p.intensity, p.gflops), xytext=(9, -3), textcoords="offset points",
-                      ha="left", fontsize=8)  # fmt: skip
 
 
 def as_table(roofs: Roofs, points: Sequence[KernelPoint]) -> str:
