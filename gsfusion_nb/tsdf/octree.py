@@ -5,6 +5,7 @@ order.
 """
 
 import functools
+import logging
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from torch import Tensor
 
 from ..backends import piece
 from ..checks import check_shape
+
+log = logging.getLogger(__name__)
 
 BITS = 21
 """Bits per axis: 3 x 21 = 63 fit in a signed 64-bit integer."""
@@ -92,8 +95,11 @@ def decode(codes: Int[Tensor, " N"]) -> Int[Tensor, "N 3"]:
 
 Corner = tuple[int, int, int]
 
-TABLE_CELLS = 1 << 23
-"""Largest dense lookup table, cells (32 MB). A map whose bounding box is larger is searched by Morton code instead."""
+NODE_BITS = 4
+"""A node of the table is 2^4 blocks wide."""
+
+TABLE_NODES = 1 << 24
+"""Largest box of nodes in a table (64 MB): a cube of 327 m with voxels of 1 cm. A larger map is searched by code."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,12 +123,89 @@ class NewBlocks:
         return _among(interleave(block_coords.clamp(-OFFSET, OFFSET - 1)), self.codes)
 
 
+class BlockTable:
+    """Pool rows of blocks by their coordinates, in two levels: a box of nodes, and a row for each block of a node.
+
+    The nodes are those of the octree four levels above the blocks. Only nodes with blocks have rows, so that a long
+    walk or one far block costs little memory. Node 0 has no blocks; it stands for all nodes that do not exist.
+    """
+
+    def __init__(self, device: torch.device | str = "cpu"):
+        self.low: Corner = (0, 0, 0)
+        """Lowest node of the box."""
+        self.nodes = torch.zeros(1, 1, 1, dtype=torch.int32, device=device)
+        """Number of each node of the box. [X, Y, Z]"""
+        self.rows = torch.full((1, 1 << 3 * NODE_BITS), -1, dtype=torch.int32, device=device)
+        """Pool row of each block of a node (number 256 x + 16 y + z), -1: none; spare ones at the end. [N, 4096]"""
+        self._count = torch.zeros((), dtype=torch.int64, device=device)
+        self._most = 0  # the count or more: the host does not wait for a GPU to know it
+
+    def find(self, block_coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
+        """Pool row of each block, -1 where it is not allocated. int64"""
+        cell, number, inside = self._place(block_coords)
+        node = self.nodes.view(-1).index_select(0, cell) * inside
+        return self.rows.view(-1).index_select(0, (node.long() << 3 * NODE_BITS) + number).long()
+
+    def enter(self, new: NewBlocks, rows: Int[Tensor, " M"]) -> bool:
+        """Enter blocks with their pool rows; False if the box of nodes would be too large."""
+        low, high = (_corner(x >> NODE_BITS for x in corner) for corner in (new.low, new.high))
+        if not self._enclose(low, high):
+            return False
+        self._make_room(min(len(new), math.prod(b - a + 1 for a, b in zip(low, high, strict=True))))
+        cell, number, _ = self._place(new.coords)
+        node, parent = self.nodes.view(-1)[cell].long(), new.codes >> 3 * NODE_BITS
+        first = parent.diff(prepend=parent.new_full((1,), -1)) != 0  # blocks of a node are neighbours in Morton order
+        opened = (first & (node == 0)).cumsum(0)
+        node = torch.where(node == 0, self._count + opened, node)
+        self._count = self._count + opened[-1]
+        self.nodes.view(-1)[cell] = node.int()
+        self.rows[node, number] = rows.int()
+        return True
+
+    def _place(self, coords: Int[Tensor, "N 3"]) -> tuple[Int[Tensor, " N"], Int[Tensor, " N"], Bool[Tensor, " N"]]:
+        """Cell of each block's node in the box, the block's number in the node, and whether the node is in the box."""
+        nx, ny, nz = self.nodes.shape
+        x, y, z = coords.long().T.contiguous()  # contiguous planes are much faster on a CPU
+        i, j, k = ((w >> NODE_BITS) - low for w, low in zip((x, y, z), self.low, strict=True))
+        inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny) & (k >= 0) & (k < nz)
+        x, y, z = (w & ((1 << NODE_BITS) - 1) for w in (x, y, z))
+        return ((i * ny + j) * nz + k) * inside, (((x << NODE_BITS) + y) << NODE_BITS) + z, inside
+
+    def _enclose(self, low: Corner, high: Corner) -> bool:
+        """Enlarge the box, with room for more, so that it holds these nodes; False if it would be too large."""
+        if not self._most:
+            self.low = low
+        old = [slice(a, a + n) for a, n in zip(self.low, self.nodes.shape, strict=True)]
+        if all(s.start <= a and b < s.stop for s, a, b in zip(old, low, high, strict=True)):
+            return True
+        starts = [min(a, s.start) for a, s in zip(low, old, strict=True)]
+        ends = [max(b + 1, s.stop) for b, s in zip(high, old, strict=True)]
+        margin = [(b - a) // 8 + 1 for a, b in zip(starts, ends, strict=True)]
+        size = [b - a + 2 * m for a, b, m in zip(starts, ends, margin, strict=True)]
+        if math.prod(size) > TABLE_NODES:
+            return False
+        self.low = _corner(a - m for a, m in zip(starts, margin, strict=True))
+        nodes = self.nodes.new_zeros(size)
+        nodes[tuple(slice(s.start - a, s.stop - a) for s, a in zip(old, self.low, strict=True))] = self.nodes
+        self.nodes = nodes
+        return True
+
+    def _make_room(self, n_nodes: int) -> None:
+        """Make sure that so many more nodes have rows; the host waits for a GPU only where they might not."""
+        self._most += n_nodes
+        if self._most >= len(self.rows):
+            self._most = int(self._count) + n_nodes
+        if self._most >= len(self.rows):
+            spare = self.rows.new_full((2 * self._most + 1 - len(self.rows), self.rows.shape[1]), -1)
+            self.rows = torch.cat([self.rows, spare])
+
+
 class BlockIndex:
     """Sorted Morton codes of the allocated blocks, and the pool row of each.
 
     A linear octree (Gargantini 1982): only leaves are stored, the node above a code is ``code >> 3``, and all leaves
-    below a node are neighbours in ``codes``. The world is limited only by the 21 bits per axis of a code. In a compact
-    map blocks are found through a table over its bounding box, which is faster than a binary search.
+    below a node are neighbours in ``codes``. The world is limited only by the 21 bits per axis of a code. Blocks are
+    found through a table, which is faster than a binary search.
     """
 
     def __init__(self, device: torch.device | str = "cpu"):
@@ -130,11 +213,8 @@ class BlockIndex:
         self._rows: Int[Tensor, " B"] = torch.zeros(0, dtype=torch.int64, device=device)
         self._added: list[Tensor] = []
         self._count = 0
-        self._table: Tensor | None = None
-        self._low: Tensor = torch.zeros(3, dtype=torch.int64, device=device)
-        self._lowest: Corner = (0, 0, 0)
-        self._size: Corner = (0, 0, 0)
-        self._bounds: tuple[Corner, Corner] | None = None
+        self.table: BlockTable | None = BlockTable(device)
+        """None where the map has outgrown it."""
 
     @classmethod
     def of_blocks(cls, coords: Int[Tensor, "B 3"]) -> "BlockIndex":
@@ -144,8 +224,9 @@ class BlockIndex:
         index._count = len(coords)
         if len(index):
             low, high = torch.stack(torch.aminmax(coords, dim=0)).tolist()
-            index._enclose(_corner(low), _corner(high))
-            index._make_table()
+            coords = coords[index._rows].long()
+            blocks = NewBlocks(coords=coords, codes=index._codes, low=_corner(low), high=_corner(high))
+            index._enter(blocks, index._rows)
         return index
 
     def __len__(self) -> int:
@@ -165,21 +246,7 @@ class BlockIndex:
 
     def find(self, block_coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
         """Pool row of each block, -1 where it is not allocated. int64"""
-        if self._table is None:
-            return self._search(encode(block_coords))
-        cell, inside = self._cell(block_coords)
-        rows = self._table.index_select(0, cell).to(torch.int64)
-        return torch.where(inside, rows, -1)
-
-    @property
-    def table(self) -> tuple[Tensor, Tensor, Corner] | None:
-        """Dense lookup table, if there is one: rows (-1: none) of a box of blocks; its lowest block; its size."""
-        return None if self._table is None else (self._table, self._low, self._size)
-
-    @property
-    def table_low(self) -> Corner:
-        """The table's lowest block, in the host's memory."""
-        return self._lowest
+        return self._search(encode(block_coords)) if self.table is None else self.table.find(block_coords)
 
     def missing(self, coords: Int[Tensor, "N 3"]) -> NewBlocks:
         """Those of the blocks at ``coords`` that are not allocated. The host waits for a GPU once.
@@ -188,7 +255,7 @@ class BlockIndex:
             ValueError: a coordinate does not fit in a Morton code.
         """
         coords = coords.to(torch.int64)
-        if self._table is not None and coords.device.type == "cpu":  # most blocks exist; a GPU would be waited for here
+        if self.table is not None and coords.device.type == "cpu":  # most blocks exist; a GPU would be waited for here
             coords = coords[self.find(coords) < 0]
         if not len(coords):
             return NewBlocks(coords=coords, codes=coords.new_zeros(0), low=(0, 0, 0), high=(0, 0, 0))
@@ -217,8 +284,7 @@ class BlockIndex:
             return
         self._added.append(new.codes)
         self._count += M
-        self._enclose(new.low, new.high)
-        self._enter(new, torch.arange(n, n + M, dtype=torch.int32, device=new.codes.device))
+        self._enter(new, torch.arange(n, n + M, device=new.codes.device))
 
     def _merge_added(self) -> None:
         if not self._added:
@@ -246,39 +312,14 @@ class BlockIndex:
         at = torch.searchsorted(self.codes, codes).clamp(max=len(self) - 1)
         return torch.where(self.codes[at] == codes, self.rows[at], -1)
 
-    def _cell(self, coords: Tensor) -> tuple[Int[Tensor, " N"], Bool[Tensor, " N"]]:
-        nx, ny, nz = self._size
-        x, y, z = (coords.to(torch.int64) - self._low).T.contiguous()  # contiguous planes are much faster on a CPU
-        inside = (x >= 0) & (x < nx) & (y >= 0) & (y < ny) & (z >= 0) & (z < nz)
-        return ((x * ny + y) * nz + z) * inside, inside
-
-    def _enclose(self, low: Corner, high: Corner) -> None:
-        """Enlarge the bounding box of the allocated blocks, which the host knows without waiting for a GPU."""
-        if self._bounds is not None:
-            low, high = (_corner(map(f, a, b)) for f, a, b in zip((min, max), self._bounds, (low, high), strict=True))
-        self._bounds = low, high
-
     def _enter(self, new: NewBlocks, rows: Int[Tensor, " M"]) -> None:
-        """Enter new blocks into the table, or make a larger one where the map has outgrown it."""
-        ends = [low + size for low, size in zip(self._lowest, self._size, strict=True)]
-        fits = all(low <= a and b < end for low, a, b, end in zip(self._lowest, new.low, new.high, ends, strict=True))
-        if self._table is None or not fits:
-            self._make_table()
-        else:
-            self._table[self._cell(new.coords)[0]] = rows
-
-    def _make_table(self) -> None:
-        """A table of the box around all blocks, with room for more, unless it would be too large."""
-        assert self._bounds is not None
-        low, high = self._bounds
-        margin = [(b - a) // 8 + 2 for a, b in zip(low, high, strict=True)]
-        self._lowest = _corner(a - m for a, m in zip(low, margin, strict=True))
-        self._size = _corner(b - a + 2 * m + 1 for a, b, m in zip(low, high, margin, strict=True))
-        self._table, cells = None, math.prod(self._size)
-        if cells <= TABLE_CELLS:
-            self._low = torch.tensor(self._lowest, device=self._codes.device)
-            self._table = torch.full((cells,), -1, dtype=torch.int32, device=self._codes.device)
-            self._table[self._cell(decode(self.codes))[0]] = self.rows.to(torch.int32)
+        """Enter new blocks into the table while the map has one."""
+        if self.table is not None and not self.table.enter(new, rows):
+            self.table = None
+            log.warning(
+                "blocks from %s to %s: the map is too large for a table of its blocks, and looking at it is slow from "
+                "here on; check the poses, or use larger voxels (tsdf.voxel_size_m)", new.low, new.high
+            )  # fmt: skip
 
 
 def _corner(numbers: Iterable[int]) -> Corner:

@@ -40,7 +40,7 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
 
 def new_band_blocks(volume: TsdfVolume, frame: Frame) -> NewBlocks:
     """See ``gsfusion_nb.tsdf.new_band_blocks``. A map that is too large for a table is searched by torch."""
-    if volume.n_blocks and volume.index.table is None:
+    if volume.index.table is None:
         return volume.index.missing(band_blocks(volume, frame))
     found = _entered("new_band_blocks", volume, frame, table_of(volume))
     if found is None:

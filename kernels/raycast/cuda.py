@@ -23,7 +23,7 @@ _INFINITE_BITS = 0x7F800000
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     """See ``gsfusion_nb.tsdf.raycast``."""
     device, n, coords = volume.device, volume.n_blocks, volume.block_coords
-    if volume.D.dtype != torch.float32 or (n and volume.index.table is None):
+    if volume.D.dtype != torch.float32 or volume.index.table is None:
         return reference.reference(volume, camera, T_WC)
     device_of("raycast", volume.D)
     H, W, config = camera.height, camera.width, volume.config

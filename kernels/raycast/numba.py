@@ -24,7 +24,7 @@ from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
 
-from ..runtime.arguments import BlockTable, lens_of, parts, ray_slopes
+from ..runtime.arguments import IN_NODE, NODE_BITS, NODE_SHIFT, BlockTable, lens_of, parts, ray_slopes
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.simd import (
     absolute,
@@ -95,13 +95,34 @@ def _(field, at, wanted):
     return asking
 
 
+@njit(inline="always")
+def _place(table, axis, voxel):
+    """Where sixteen voxels are along an axis: what that adds to the number of a node, and to those of the block in the
+    node and of the voxel in the block; and whether the node is in the table's box.
+    """
+    strides = (table.size[1] * table.size[2], table.size[2], int32(1))
+    shift, three, seven = splat_int(int32(NODE_SHIFT)), splat_int(int32(3)), splat_int(int32(7))
+    node = (voxel >> shift) - splat_int(table.low[axis])
+    in_node = ((voxel >> three) & splat_int(int32(IN_NODE))) * splat_int(int32(1 << NODE_BITS * (2 - axis)))
+    in_block = (voxel & seven) * splat_int(int32(1 << 3 * (2 - axis)))
+    return node * splat_int(strides[axis]), in_node, in_block, below(node, splat_int(table.size[axis]))
+
+
+@njit(inline="always")
+def _row(table, x, y, z, wanted):
+    """Pool row of the blocks at sixteen places, -1 where there is none."""
+    wanted = wanted & x[3] & y[3] & z[3]
+    node = gather_int(table.nodes, x[0] + y[0] + z[0], wanted, splat_int(int32(0)))
+    number = node * splat_int(int32(1 << 3 * NODE_BITS)) + x[1] + y[1] + z[1]
+    return gather_int(table.rows, number, wanted, splat_int(int32(-1)))
+
+
 @njit(cache=True, error_model="numpy")
-def _corner(rows, field, cell, number, moved, inside, row, wanted):
+def _corner(table, field, x, y, z, moved, row, wanted):
     """Value and position of one corner of sixteen cells; ``moved`` are those where it lies in another block."""
     if any_lane(moved):
-        nowhere = splat_int(int32(-1))
-        row = select_int(moved, gather_int(rows, cell, moved & inside, nowhere), row)
-    at = row * splat_int(int32(VOXELS_PER_BLOCK)) + number
+        row = select_int(moved, _row(table, x, y, z, moved), row)
+    at = row * splat_int(int32(VOXELS_PER_BLOCK)) + x[2] + y[2] + z[2]
     return values(field, at, wanted & (row >= splat_int(int32(0)))), at
 
 
@@ -111,33 +132,24 @@ def cells(table, field, px, py, pz, wanted):
 
     Points are in voxels, less a half. Also returns which cells are observed whole, and the cells' lowest corners.
     """
-    rows, low, size = table.rows, table.low, table.size
-    one, seven, three, zero = splat_int(int32(1)), splat_int(int32(7)), splat_int(int32(3)), splat_int(int32(0))
+    one, seven = splat_int(int32(1)), splat_int(int32(7))
     bx, by, bz = floor(px), floor(py), floor(pz)
     x, y, z = truncate(bx), truncate(by), truncate(bz)
-    nx, ny, nz = splat_int(int32(size[0])), splat_int(int32(size[1])), splat_int(int32(size[2]))
-    X0, Y0, Z0 = (x >> three) - splat_int(low[0]), (y >> three) - splat_int(low[1]), (z >> three) - splat_int(low[2])
+    x0, y0, z0 = _place(table, 0, x), _place(table, 1, y), _place(table, 2, z)
+    x1, y1, z1 = _place(table, 0, x + one), _place(table, 1, y + one), _place(table, 2, z + one)
+    row = _row(table, x0, y0, z0, wanted)
+    wanted = wanted & (row >= splat_int(int32(0)))
     ox, oy, oz = wanted & ((x & seven) == seven), wanted & ((y & seven) == seven), wanted & ((z & seven) == seven)
-    X1, Y1, Z1 = X0 + select_int(ox, one, zero), Y0 + select_int(oy, one, zero), Z0 + select_int(oz, one, zero)
-    inx, iny, inz = below(X0, nx), below(Y0, ny), below(Z0, nz)
-    jnx, jny, jnz = below(X1, nx), below(Y1, ny), below(Z1, nz)
-    X0, X1, Y0, Y1 = X0 * ny * nz, X1 * ny * nz, Y0 * nz, Y1 * nz
-    eight, sixty_four = splat_int(int32(8)), splat_int(int32(64))
-    x0, x1 = (x & seven) * sixty_four, ((x + one) & seven) * sixty_four
-    y0, y1 = (y & seven) * eight, ((y + one) & seven) * eight
-    z0, z1 = z & seven, (z + one) & seven
-    row = gather_int(rows, X0 + Y0 + Z0, wanted & inx & iny & inz, splat_int(int32(-1)))
-    wanted = wanted & (row >= zero)
-    none = ox & but_not(oy, oy)
+    none = but_not(ox, ox)
     oxy, oxz, oyz = either(ox, oy), either(ox, oz), either(oy, oz)
-    v0, a0 = _corner(rows, field, X0, x0 + y0 + z0, none, none, row, wanted)
-    v1, a1 = _corner(rows, field, X1 + Y0 + Z0, x1 + y0 + z0, ox, jnx & iny & inz, row, wanted)
-    v2, a2 = _corner(rows, field, X0 + Y1 + Z0, x0 + y1 + z0, oy, inx & jny & inz, row, wanted)
-    v3, a3 = _corner(rows, field, X1 + Y1 + Z0, x1 + y1 + z0, oxy, jnx & jny & inz, row, wanted)
-    v4, a4 = _corner(rows, field, X0 + Y0 + Z1, x0 + y0 + z1, oz, inx & iny & jnz, row, wanted)
-    v5, a5 = _corner(rows, field, X1 + Y0 + Z1, x1 + y0 + z1, oxz, jnx & iny & jnz, row, wanted)
-    v6, a6 = _corner(rows, field, X0 + Y1 + Z1, x0 + y1 + z1, oyz, inx & jny & jnz, row, wanted)
-    v7, a7 = _corner(rows, field, X1 + Y1 + Z1, x1 + y1 + z1, either(oxy, oz), jnx & jny & jnz, row, wanted)
+    v0, a0 = _corner(table, field, x0, y0, z0, none, row, wanted)
+    v1, a1 = _corner(table, field, x1, y0, z0, ox, row, wanted)
+    v2, a2 = _corner(table, field, x0, y1, z0, oy, row, wanted)
+    v3, a3 = _corner(table, field, x1, y1, z0, oxy, row, wanted)
+    v4, a4 = _corner(table, field, x0, y0, z1, oz, row, wanted)
+    v5, a5 = _corner(table, field, x1, y0, z1, oxz, row, wanted)
+    v6, a6 = _corner(table, field, x0, y1, z1, oyz, row, wanted)
+    v7, a7 = _corner(table, field, x1, y1, z1, either(oxy, oz), row, wanted)
     most = maximum(maximum(maximum(v0, v1), maximum(v2, v3)), maximum(maximum(v4, v5), maximum(v6, v7)))
     whole = wanted & (most < splat(_INFINITE))
     return (v0, v1, v2, v3, v4, v5, v6, v7), (a0, a1, a2, a3, a4, a5, a6, a7), whole, (bx, by, bz)
@@ -161,7 +173,7 @@ def blend(v, f):
     return z0 + (z1 - z0) * fz
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)  # which products are fused must not hang on the compiler
 def interpolate(table, field, point, inv_voxel, wanted):
     """Trilinear D at sixteen world points, and where all eight voxels around them have been observed."""
     half = splat(_HALF)
@@ -295,8 +307,8 @@ _BITS_OF_VOXEL = VOXELS_PER_BLOCK.bit_length() - 1
 
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     """See ``gsfusion_nb.tsdf.raycast``."""
-    lookup = volume.index.table
-    if volume.D.dtype != torch.float32 or volume.device.type != "cpu" or lookup is None:
+    table = volume.index.table
+    if volume.D.dtype != torch.float32 or volume.device.type != "cpu" or table is None:
         return reference.reference(volume, camera, T_WC)
     depth, normal, rgb = (torch.empty(camera.height, camera.width, *n) for n in ((), (3,), (3,)))
     x, y = ray_slopes(camera)
@@ -306,8 +318,6 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     config = volume.config
     exact = Sizes(voxel=config.voxel_size_m, truncation=config.truncation_m, block=volume.block_size_m)
     sizes = Sizes(*(f32(length) for length in exact))
-    rows, low, blocks = lookup
-    table = BlockTable(rows=rows.numpy(), low=low.numpy().astype(np.int32), size=np.array(blocks, np.int32))
     D, W, colours = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes))
     blocks = volume.block_coords.numpy(), D, W
     T_CW = se3.inverse(pose.double()).numpy()
@@ -318,7 +328,8 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
             copied = look_up(blocks, T_CW, lens, exact, size, TILE_PX, copy, spans)
         field = Marked(copy) if copied else Unmarked(D, W)
         with parallel_chunksize(spans.shape[1]):  # a row of tiles: neighbours meet the same voxels
-            _march(table, field, colours, rays, sizes, spans, TILE_PX, depth.numpy(), normal.numpy(), rgb.numpy())
+            pictures = depth.numpy(), normal.numpy(), rgb.numpy()
+            _march(BlockTable.of(table), field, colours, rays, sizes, spans, TILE_PX, *pictures)
     return RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
 
 
@@ -339,18 +350,13 @@ def _to_wall(p, forward, per_block, inv_side):
 @njit(cache=True, error_model="numpy")
 def _crossing(table, field, origin, direction, sizes, span, alive):
     """Depths on either side of the first change from free to inside along sixteen rays, D there, and where it is."""
-    rows, low, size = table.rows, table.low, table.size
     ox, oy, oz = origin
     dx, dy, dz = direction
     zero, one, infinite, small = splat(_ZERO), splat(_ONE), splat(_INFINITE), splat(_SMALL)
     voxel, truncation, side = splat(sizes.voxel), splat(sizes.truncation), splat(sizes.block)
     inv_voxel, inv_side = one / voxel, one / side
     reach, close_by, margin = splat(_STEP) * truncation, splat(_CLOSE) * voxel, splat(_MARGIN) * voxel
-    three, seven, nowhere = splat_int(int32(3)), splat_int(int32(7)), splat_int(int32(-1))
-    eight, sixty_four, block = splat_int(int32(8)), splat_int(int32(64)), splat_int(int32(VOXELS_PER_BLOCK))
-    nx, ny, nz = splat_int(int32(size[0])), splat_int(int32(size[1])), splat_int(int32(size[2]))
-    ny_nz = splat_int(int32(size[1] * size[2]))
-    lx, ly, lz = splat_int(low[0]), splat_int(low[1]), splat_int(low[2])
+    block = splat_int(int32(VOXELS_PER_BLOCK))
     per_m = one / sqrt(dx * dx + dy * dy + dz * dz)
     per_x, per_y, per_z = (
         side / maximum(absolute(dx), small), side / maximum(absolute(dy), small), side / maximum(absolute(dz), small)
@@ -365,12 +371,12 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
     while any_lane(alive):
         px, py, pz = ox + dx * z, oy + dy * z, oz + dz * z
         i, j, k = truncate(floor(px * inv_voxel)), truncate(floor(py * inv_voxel)), truncate(floor(pz * inv_voxel))
-        X, Y, Z = (i >> three) - lx, (j >> three) - ly, (k >> three) - lz
-        row = gather_int(rows, X * ny_nz + Y * nz + Z, alive & below(X, nx) & below(Y, ny) & below(Z, nz), nowhere)
+        at_x, at_y, at_z = _place(table, 0, i), _place(table, 1, j), _place(table, 2, k)
+        row = _row(table, at_x, at_y, at_z, alive)
         allocated = row >= splat_int(int32(0))
         here, step = infinite, voxel * per_m
         if any_lane(allocated):
-            at = row * block + (i & seven) * sixty_four + (j & seven) * eight + (k & seven)
+            at = row * block + at_x[2] + at_y[2] + at_z[2]
             here = values(field, at, allocated)
             observed = here < infinite
             close = observed & (absolute(here) * truncation < close_by)

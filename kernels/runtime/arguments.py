@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gsfusion_nb.tsdf import octree
 from gsfusion_nb.types import Camera
 
 _ALIGNMENT = 16
@@ -36,13 +37,30 @@ def parts(count: int, size: int) -> int:
     return -(-count // size)
 
 
-class BlockTable(NamedTuple):
-    """A box of blocks, ``size`` [3] of them along each axis from block ``low`` [3]; z changes fastest in ``rows``."""
+NODE_BITS = octree.NODE_BITS
+IN_NODE = (1 << NODE_BITS) - 1
+"""Of a block's coordinate, those bits that tell its place in its node."""
+NODE_SHIFT = NODE_BITS + 3
+"""Bits of a voxel's coordinate within its node."""
 
+
+class BlockTable(NamedTuple):
+    """The arrays of ``gsfusion_nb.tsdf.octree.BlockTable``, int32."""
+
+    nodes: np.ndarray
+    """Number of each node of the box, z fastest."""
     rows: np.ndarray
-    """Row in the pool of each block of the box, -1 where there is none."""
+    """Row in the pool of each block of each node, -1 where there is none."""
     low: np.ndarray
+    """Lowest node of the box. [3]"""
     size: np.ndarray
+    """Nodes along each axis. [3]"""
+
+    @staticmethod
+    def of(table: octree.BlockTable) -> "BlockTable":
+        """Those of a table on the processor."""
+        low, size = np.array(table.low, np.int32), np.array(table.nodes.shape, np.int32)
+        return BlockTable(nodes=table.nodes.view(-1).numpy(), rows=table.rows.view(-1).numpy(), low=low, size=size)
 
 
 class Lens(NamedTuple):

@@ -42,8 +42,8 @@ def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: tsdf.NewBlock
 
 
 def _is_left_to_the_reference(volume: TsdfVolume, xyz_W: Tensor) -> bool:
-    """Points in float64, and a map that is too large for a table; an empty one needs none."""
-    return xyz_W.dtype != torch.float32 or (volume.n_blocks > 0 and volume.index.table is None)
+    """Points in float64, and a map that is too large for a table."""
+    return xyz_W.dtype != torch.float32 or volume.index.table is None
 
 
 def _points(xyz_W: Tensor) -> dict[str, Any]:
@@ -58,6 +58,7 @@ def _blank(xyz_W: Tensor) -> TsdfSample:
 
 
 def table_of(volume: TsdfVolume) -> dict[str, Any]:
-    """The pool row of every block of a box, -1 where there is none, and the box; an empty one of an empty map."""
-    rows, _, size = volume.index.table or (None, None, (0, 0, 0))
-    return {"rows": rows, "low": volume.index.table_low, "size": size}
+    """Where the blocks are, of a map that is not too large for a table."""
+    table = volume.index.table
+    assert table is not None
+    return {"nodes": table.nodes, "rows": table.rows, "low": table.low, "size": tuple(table.nodes.shape)}

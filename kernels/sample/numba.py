@@ -12,7 +12,7 @@ from gsfusion_nb.tsdf import NewBlocks, TsdfSample, TsdfVolume
 from gsfusion_nb.tsdf import sample_voxels as reference
 from gsfusion_nb.types import Frame
 
-from ..runtime.arguments import BlockTable
+from ..runtime.arguments import IN_NODE, NODE_BITS, NODE_SHIFT, BlockTable
 from ..runtime.numba.launch import launching
 
 f32 = np.float32
@@ -22,19 +22,17 @@ _FARTHEST = f32(1 << 24)
 
 def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     """See ``gsfusion_nb.tsdf.sample_voxels``."""
-    lookup = volume.index.table
-    if xyz_W.dtype != torch.float32 or volume.device.type != "cpu" or lookup is None:
+    blocks = volume.index.table
+    if xyz_W.dtype != torch.float32 or volume.device.type != "cpu" or blocks is None:
         with use_backend("reference"):
             return reference(volume, xyz_W)
     n = xyz_W.shape[0]
     D, W, rgb, W_rgb = torch.empty(n), torch.empty(n), torch.empty(n, 3), torch.empty(n)
-    rows, low, size = lookup
-    table = BlockTable(rows=rows.numpy(), low=low.numpy().astype(np.int64), size=np.array(size, np.int64))
     voxels = tuple(field.numpy() for field in (volume.D, volume.W, volume.rgb_planes, volume.W_rgb))
     out = tuple(field.numpy() for field in (D, W, rgb, W_rgb))
     points = xyz_W.detach().contiguous().numpy()
     with launching():
-        _sample(table, voxels, points, f32(volume.config.voxel_size_m), out)
+        _sample(BlockTable.of(blocks), voxels, points, f32(volume.config.voxel_size_m), out)
     return TsdfSample(D=D, W=W, rgb=rgb, W_rgb=W_rgb)
 
 
@@ -49,7 +47,7 @@ def _sample(table, voxels, points, voxel_size, out):
 
     voxels: D [B, 512], W, planes of colour [B, 3, 512] and W_rgb of the blocks in the pool. out: of the points.
     """
-    rows, low, size = table.rows, table.low, table.size
+    nodes, rows, low, size = table.nodes, table.rows, table.low, table.size
     field_D, field_W, field_rgb, field_W_rgb = voxels
     D, W, rgb, W_rgb = out
     N, chunk = points.shape[0], 1024
@@ -60,10 +58,12 @@ def _sample(table, voxels, points, voxel_size, out):
             if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and abs(z) < _FARTHEST):
                 continue
             vx, vy, vz = int(math.floor(x)), int(math.floor(y)), int(math.floor(z))
-            bx, by, bz = (vx >> 3) - low[0], (vy >> 3) - low[1], (vz >> 3) - low[2]
-            if not (0 <= bx < size[0] and 0 <= by < size[1] and 0 <= bz < size[2]):
+            X, Y, Z = (vx >> NODE_SHIFT) - low[0], (vy >> NODE_SHIFT) - low[1], (vz >> NODE_SHIFT) - low[2]
+            if not (0 <= X < size[0] and 0 <= Y < size[1] and 0 <= Z < size[2]):
                 continue
-            row = rows[(bx * size[1] + by) * size[2] + bz]
+            node = int(nodes[(X * size[1] + Y) * size[2] + Z])
+            bx, by, bz = vx >> 3 & IN_NODE, vy >> 3 & IN_NODE, vz >> 3 & IN_NODE
+            row = rows[(((node << NODE_BITS | bx) << NODE_BITS | by) << NODE_BITS) | bz]
             if row < 0:
                 continue
             at = 64 * (vx & 7) + 8 * (vy & 7) + (vz & 7)

@@ -1,7 +1,7 @@
 // Values of the voxels that contain points: as they are, and as they will be once a frame is fused.
 //
 // Layout: one point a thread. What limits it: a few thousand points are one wave of threads, so the chain of reads of
-// one point: its block's row from the dense table (of a block that is not allocated yet, a binary search among the
+// one point: its block's node and row from the table (of a block that is not allocated yet, a binary search among the
 // sorted codes of the new ones), the voxel, and for the preview the depth and colour of its pixel.
 #include "lookup.cuh"
 #include "morton.cuh"

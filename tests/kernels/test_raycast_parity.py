@@ -124,7 +124,7 @@ def test_a_map_too_large_for_a_table(mapped, monkeypatch):
     volume, frames = mapped
     camera = frames[0].camera.resized(24, 18)
     expected = numba_raycast(volume, camera, frames[0].T_WC)
-    monkeypatch.setattr(octree, "TABLE_CELLS", 8)
+    monkeypatch.setattr(octree, "TABLE_NODES", 1)
     copy = TsdfVolume(CONFIG)
     copy.load_state_dict(volume.state_dict())
     assert copy.index.table is None

@@ -62,25 +62,46 @@ def test_missing_blocks_are_new_sorted_and_different(generator):
 
 def test_a_table_grows_as_if_it_had_been_made_at_once(generator):
     grown = BlockIndex()
-    for size in (2, 3, 20, 21, 40):
+    for size in (2, 3, 20, 21, 400, 4000):
         coords = torch.randint(-size, size, (200, 3), generator=generator)
         insert(grown, coords)
         at_once = BlockIndex.of_blocks(octree.decode(grown.codes))
-        query = torch.randint(-60, 60, (3000, 3), generator=generator)
+        query = torch.cat([torch.randint(-60, 60, (3000, 3), generator=generator), coords, coords + 1])
         assert torch.equal(grown.rows[at_once.find(query)].where(at_once.find(query) >= 0, -1), grown.find(query))
+        assert torch.equal(grown.find(query), grown._search(octree.encode(query)))
 
 
-def test_a_far_block_falls_back_to_codes(generator):
+@pytest.mark.parametrize("far", [[3000, -1500, 12], [3000, 0, 0]])
+def test_a_far_block_costs_one_node(far, generator):
     coords = torch.randint(-20, 20, (300, 3), generator=generator)
     near, both = BlockIndex(), BlockIndex()
     insert(near, coords)
     insert(both, coords)
-    insert(both, torch.tensor([[1_000_000, -1_000_000, 12]]))
-    assert near._table is not None
-    assert both._table is None
+    assert insert(both, torch.tensor([far])).tolist() == [len(near)]
+    assert both.table is not None
+    assert int((both.table.nodes > 0).sum()) == int((near.table.nodes > 0).sum()) + 1
     query = torch.randint(-25, 25, (2000, 3), generator=generator)
     assert torch.equal(near.find(query), both.find(query))
-    assert both.find(torch.tensor([[1_000_000, -1_000_000, 12]])).tolist() == [len(near)]
+
+
+def test_a_map_far_from_the_origin_has_a_small_table():
+    index = BlockIndex()
+    insert(index, torch.tensor([[1_000_000, -1_000_000, 12], [1_000_001, -1_000_000, 12]]))
+    assert index.table is not None
+    assert index.table.nodes.numel() < 100
+
+
+def test_a_map_too_large_for_a_table_is_searched_by_code_and_says_so(generator, caplog):
+    coords = torch.cat(
+        [torch.randint(-20, 20, (300, 3), generator=generator), torch.tensor([[1_000_000, -1_000_000, 12]])]
+    )
+    index = BlockIndex()
+    rows = insert(index, coords)
+    assert index.table is None
+    assert len(caplog.records) == 1
+    insert(index, coords + 1)
+    assert len(caplog.records) == 1
+    assert torch.equal(index.find(coords), rows)
 
 
 def test_levels(generator):
