@@ -11,6 +11,7 @@ No code from the files is executed when they are read.
 import hashlib
 import json
 import re
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,7 +88,7 @@ class CheckpointStore:
         self._number, self._constants, self._files, self._before = number, used, files, wanted
 
     def load(self) -> Loaded:
-        """The latest checkpoint that is not damaged, on the CPU.
+        """The latest checkpoint that is not damaged, on the CPU; its constants are read when they are used.
 
         Raises:
             FileNotFoundError: There is none. ValueError: All are damaged, or from another version.
@@ -150,7 +151,9 @@ class CheckpointStore:
                 if hashlib.file_digest(file, "sha256").hexdigest() != digest:
                     raise ValueError(f"the checksum of {name} is wrong")
                 file.seek(0)
-                content = torch.load(file, map_location="cpu", weights_only=True)
+                mapped = name.endswith(".constants") and sys.platform != "win32"  # more than memory may hold
+                source = self.folder / name if mapped else file
+                content = torch.load(source, map_location="cpu", weights_only=True, mmap=mapped)
             if name.endswith(".constants"):
                 constants |= content
             else:

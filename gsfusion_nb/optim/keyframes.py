@@ -1,6 +1,9 @@
 """The views that are revisited while mapping and optimised over after the scan."""
 
 import dataclasses
+import os
+import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +14,9 @@ from torch import Tensor
 
 from ..backends import piece
 from ..types import Camera, Frame, rgb_of_bytes
+
+IN_MEMORY_BYTES = 1 << 30
+"""Images of keyframes beyond these are in temporary files, of whose pages the system keeps what memory allows."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,12 +96,14 @@ class KeyframeList:
     """Keyframes in the order in which they were added; random numbers come only from the generator that is passed in.
 
     Args:
-        device: Device on which the images are stored; by default that of the frames.
+        device: Device on which the images are stored; by default that of the frames. On a processor they take no more
+            than ``IN_MEMORY_BYTES``, and the others are read from temporary files when they are used.
     """
 
     def __init__(self, device: torch.device | str | None = None):
         self.device = device
         self._items: list[Keyframe] = []
+        self._bytes_kept = 0
 
     def __len__(self) -> int:
         return len(self._items)
@@ -152,7 +160,21 @@ class KeyframeList:
         return keyframes
 
     def _keep(self, keyframe: Keyframe) -> None:
-        self._items.append(keyframe if self.device is None else keyframe.to(self.device))
+        keyframe = keyframe if self.device is None else keyframe.to(self.device)
+        images = {name: x for name in ("rgb_u8", "depth_m") if (x := getattr(keyframe, name)) is not None}
+        self._bytes_kept += sum(image.nbytes for image in images.values())
+        if self._bytes_kept > IN_MEMORY_BYTES and keyframe.rgb_u8.device.type == "cpu" and sys.platform != "win32":
+            keyframe = dataclasses.replace(keyframe, **{name: _in_file(image) for name, image in images.items()})
+        self._items.append(keyframe)
+
+
+def _in_file(image: Tensor) -> Tensor:
+    """The same values, mapped from a temporary file, which is gone when they are. ``/tmp`` is often in memory."""
+    folder = "/var/tmp" if "TMPDIR" not in os.environ and os.path.isdir("/var/tmp") else None
+    with tempfile.NamedTemporaryFile(dir=folder, prefix="gsfusion-keyframe-") as file:
+        image.contiguous().numpy().tofile(file)
+        file.flush()
+        return torch.from_file(file.name, shared=False, size=image.numel(), dtype=image.dtype).view(image.shape)
 
 
 @piece

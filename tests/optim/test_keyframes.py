@@ -2,6 +2,7 @@ import torch
 
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.optim import KeyframeList
+from gsfusion_nb.optim import keyframes as keyframes_module
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=2.0, cy=1.5)
@@ -84,3 +85,20 @@ def test_images_are_kept_where_they_are_wanted():
     there = KeyframeList.from_state_dict(here.state_dict(), "meta")
     assert there[0].rgb_u8.device.type == "meta"
     assert frame(0).rgb.device.type == "cpu"
+
+
+def test_images_beyond_what_memory_may_hold_are_in_files(monkeypatch, tmp_path):
+    monkeypatch.setattr(keyframes_module, "IN_MEMORY_BYTES", 2 * 36 + 2 * 48)  # two images with their depths
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(keyframes_module.tempfile, "tempdir", None)
+    in_file, written = keyframes_module._in_file, []
+    monkeypatch.setattr(keyframes_module, "_in_file", lambda image: written.append(image) or in_file(image))
+    k = KeyframeList()
+    for i in range(4):
+        k.append(frame(i), with_depth=True)
+    again = KeyframeList.from_state_dict(k.state_dict())
+    assert len(written) == 2 * 2 * 2
+    for kept in (k, again):
+        assert all(torch.equal(x.rgb_u8, keyframes(4)[i].rgb_u8) for i, x in enumerate(kept))
+        assert all(bool((x.depth_m == 1).all()) for x in kept)
+    assert list(tmp_path.iterdir()) == []
