@@ -1,10 +1,20 @@
-"""The surface of the volume as a triangle mesh: marching cubes straight from the sparse blocks.
+"""The surface of the volume as a triangle mesh: marching cubes (Lorensen & Cline 1987) from the sparse blocks.
 
-The triangle table is derived from the topology of the cube instead of typed in. Corner c of a cube is at (c & 1, c >> 1
-& 1, c >> 2 & 1). An edge is named by its axis and its lower corner. A case is the set of corners inside the surface
-(negative), one bit each. On every face of the cube each run of inside corners is cut off by one segment; the rule looks
-at the face alone, so the two cubes that share a face agree on it, also where its corners alternate, and the surface has
-no cracks. The segments join into closed loops, which are then triangulated.
+A cube has a voxel centre at each of its corners: corner c is at (c & 1, c >> 1 & 1, c >> 2 & 1). A corner is inside the
+surface where D < 0, and an edge between an inside and an outside corner is cut: there, at the zero of D, is a vertex.
+The case of a cube is the set of its inside corners,
+
+    case = sum over c of 2^c [D_c < 0]                                                             (1)
+
+and a table holds the triangles of each of the 256 cases. It is derived here instead of typed in:
+
+1. On each face, walk around the four corners counter-clockwise, seen from outside the cube. A segment joins each side
+   where the walk goes inside to the next side where it comes out again.
+2. The segments of the six faces join into closed loops of cut edges.
+3. Each loop is cut into triangles.
+
+Step 1 looks at the face alone, so the two cubes that share a face have the same segments there, also where inside and
+outside corners alternate, and the surface has no cracks.
 """
 
 import functools
@@ -24,7 +34,9 @@ EDGES = tuple((axis, corner) for axis in range(3) for corner in range(8) if not 
 """(axis, lower corner) of the twelve edges; the edge joins the lower corner with lower corner + 2^axis."""
 
 Loop = tuple[int, ...]
+"""Numbers of edges, in order around a polygon."""
 Triangle = tuple[int, int, int]
+"""Numbers of the edges that its corners lie on."""
 
 
 def _faces() -> list[list[int]]:
@@ -37,29 +49,27 @@ def _faces() -> list[list[int]]:
     return faces
 
 
-_FACES = _faces()
+def _sides(face: list[int]) -> list[int]:
+    """Edges of a face: side i joins its corners i and i + 1."""
+    pairs = zip(face, face[1:] + face[:1], strict=True)
+    return [EDGES.index(((a ^ b).bit_length() - 1, min(a, b))) for a, b in pairs]
 
 
-def _edge_between(a: int, b: int) -> int:
-    return EDGES.index(((a ^ b).bit_length() - 1, min(a, b)))
-
-
-_EDGES_OF_FACE = [{_edge_between(a, b) for a, b in zip(f, f[1:] + f[:1], strict=True)} for f in _FACES]
+_FACES = [(face, _sides(face)) for face in _faces()]
 
 
 def loops(case: int) -> list[Loop]:
-    """Closed polygons of cut edges that separate inside from outside, counter-clockwise seen from outside."""
+    """Closed polygons of cut edges that separate inside from outside, counter-clockwise seen from outside.
+
+    Steps 1 and 2 of the derivation above.
+    """
     follows = {}
-    for face in _FACES:
+    for face, sides in _FACES:
+        inside = [case >> corner & 1 for corner in face]
+        turn = [inside[(i + 1) % 4] - inside[i] for i in range(4)]  # of side i: 1 goes inside, -1 comes out
         for i in range(4):
-            before, start = face[i - 1], face[i]
-            if case >> before & 1 or not case >> start & 1:
-                continue
-            end = i
-            while case >> face[(end + 1) % 4] & 1:
-                end += 1
-            # The run of inside corners from `start` to `end` is cut off: in through one edge, out through another.
-            follows[_edge_between(before, start)] = _edge_between(face[end % 4], face[(end + 1) % 4])
+            if turn[i] == 1:
+                follows[sides[i]] = next(sides[k % 4] for k in range(i + 1, i + 4) if turn[k % 4] == -1)
     found = []
     while follows:
         loop = [min(follows)]
@@ -70,7 +80,7 @@ def loops(case: int) -> list[Loop]:
 
 
 def triangulate(loop: Loop) -> list[Triangle]:
-    """Triangles over a loop, without diagonals that lie in a face of the cube where that is possible.
+    """Triangles over a loop, without diagonals that lie in a face of the cube where that is possible (step 3).
 
     Such a diagonal could coincide with one of the neighbouring cube, and four triangles would then share it.
     """
@@ -92,7 +102,7 @@ def _triangulations(polygon: Loop) -> list[list[Triangle]]:
 def _diagonals_in_faces(triangle: Triangle) -> int:
     """Sides of a triangle that lie in a face. The loop's own sides all do, so only the diagonals make a difference."""
     sides = ((triangle[0], triangle[1]), (triangle[1], triangle[2]), (triangle[2], triangle[0]))
-    return sum(any(a in face and b in face for face in _EDGES_OF_FACE) for a, b in sides)
+    return sum(any(a in face and b in face for _, face in _FACES) for a, b in sides)
 
 
 @functools.cache
@@ -150,11 +160,13 @@ def _triangles(volume: TsdfVolume, rows: Int[Tensor, " B"], min_weight: float) -
     D, weight = volume.D.view(-1)[corner], volume.W.view(-1)[corner]
     usable = ((corner >= 0) & (weight > 0) & (weight >= min_weight)).all(1)
     bit = 2 ** torch.arange(8, device=volume.device)
-    case = ((D < 0) * bit).sum(1) * usable  # a cube of case 0 has no triangles
+    case = ((D < 0) * bit).sum(1) * usable  # (1); a cube of case 0 has no triangles
 
     table, count = (t.to(volume.device) for t in triangle_table())
-    cube, nth = (torch.arange(table.shape[1], device=volume.device) < count[case][:, None]).nonzero().unbind(1)
-    axis, lower = torch.tensor(EDGES, device=volume.device)[table[case[cube], nth]].unbind(-1)
+    number = torch.arange(table.shape[1], device=volume.device)
+    cube, nth = (number < count[case][:, None]).nonzero().unbind(1)  # of every triangle of every cube
+    edge = table[case[cube], nth]
+    axis, lower = torch.tensor(EDGES, device=volume.device)[edge].unbind(-1)
     return 3 * corner[cube[:, None], lower] + axis
 
 

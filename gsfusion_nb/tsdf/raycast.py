@@ -1,4 +1,18 @@
-"""What a camera sees of the volume: march every ray to the surface (KinectFusion, Newcombe et al. 2011)."""
+"""What a camera sees of the volume: march every ray to the surface (KinectFusion, Newcombe et al. 2011).
+
+The points of a ray are x(z) = o + z r, with the camera's centre o and r of length 1 along the camera's axis. A ray
+advances by a share s of the stored distance (truncation distance mu), by a voxel v at least, and across a block that is
+not allocated in one step:
+
+    z <- z + max(s mu |D(x)|, v) / |r|                                                             (1)
+
+The surface is between the first two samples z0, z1 with D0 >= 0 > D1, where a straight line through them is zero:
+
+    z* = z0 + (z1 - z0) D0 / (D0 - D1)                                                             (2)
+
+Its normal is the direction of the gradient of D. D is read in two ways: of the voxel that holds x, which is quick and
+says how far the ray may go; and trilinear between the eight voxels around x, close to a surface and in (2).
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,13 +29,13 @@ from ..types import Camera
 from .volume import TsdfVolume, check_volume, corner_gradients, corner_weights
 
 STEP = 0.7
-"""Share of the stored distance to advance. D was measured along other rays and overestimates the true distance."""
+"""s in (1). Below 1, because D was measured along other rays and overestimates the true distance."""
 
 CLOSE_VOXELS = 2.0
 """Closer to a surface, marching uses the interpolated D, because the sign of the nearest voxel can be wrong there."""
 
 REFINEMENTS = 2
-"""Number of interpolations after the first, linear one."""
+"""How often (2) is computed again, with the interpolated D at the last z* in place of the end with the same sign."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,9 +61,8 @@ def check_raycast(volume: Any, camera: Any, T_WC: Any) -> None:
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
     """Depth, normals and colour of the zero crossing of D, as seen from a pose.
 
-    Each ray crosses a block that is not allocated in one step, advances by a share of the stored distance in the
-    others, and stops where D changes from + to -. A ray on which D changes from - to + has met the back of a surface
-    and ends there without a result.
+    Each ray advances by (1) and stops where D changes from + to -. A ray on which D changes from - to + has met the
+    back of a surface and ends there without a result.
 
     Args:
         volume: The map.
@@ -79,37 +92,35 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
 
 def _surface_depths(volume: TsdfVolume, T_WC: Float[Tensor, "4 4"], ray_W: Float[Tensor, "R 3"]) -> Float[Tensor, " R"]:
     """Depth at which each ray first changes from the free side of a surface to its inside, NaN where none does."""
-    origin_W = T_WC[:3, 3]
+    origin_W, voxel_m, truncation_m = T_WC[:3, 3], volume.config.voxel_size_m, volume.config.truncation_m
     z_blocks = se3.apply(se3.inverse(T_WC.double()), volume.block_corners())[..., 2]
     z_last = float(z_blocks.max())
     depth = ray_W.new_full((len(ray_W),), torch.nan)
-    ray = torch.arange(len(ray_W), device=ray_W.device)
+    ray = torch.arange(len(ray_W), device=ray_W.device)  # those that are still on their way
     z = ray_W.new_full((len(ray_W),), max(float(z_blocks.min()), 0.0))
     z_before, D_before = z, torch.full_like(z, torch.nan)
     while len(ray):
-        point_W = origin_W + z[:, None] * ray_W[ray]
+        r = ray_W[ray]
+        point_W = origin_W + z[:, None] * r
         D, allocated = _distance_at(volume, point_W)
         enters, leaves = (D_before >= 0) & (D < 0), (D_before < 0) & (D >= 0)
         bracket = [t[enters] for t in (z_before, z, D_before, D)]
-        depth[ray[enters]] = _zero_crossing(volume, origin_W, ray_W[ray[enters]], bracket)
-        inside_m = (STEP * volume.config.truncation_m * D.abs()).nan_to_num(0.0).clamp(min=volume.config.voxel_size_m)
-        step = torch.where(allocated, inside_m / ray_W[ray].norm(dim=1), _to_block_exit(volume, point_W, ray_W[ray]))
+        depth[ray[enters]] = _zero_crossing(volume, origin_W, r[enters], bracket)
+        free_m = (STEP * truncation_m * D.abs()).nan_to_num(0.0).clamp(min=voxel_m)
+        step = torch.where(allocated, free_m / r.norm(dim=1), _to_block_exit(volume, point_W, r))  # (1)
         goes_on = ~enters & ~leaves & (z + step < z_last)
         ray, z_before, D_before, z = ray[goes_on], z[goes_on], D[goes_on], (z + step)[goes_on]
     return depth
 
 
 def _distance_at(volume: TsdfVolume, point_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
-    """D at points, NaN where not observed; and whether their block is allocated.
-
-    Far from a surface the voxel that holds the point says how far the ray may go, and reading one voxel is quick. Close
-    to a surface the sign matters, so D is interpolated between the eight voxels around the point.
-    """
+    """D at points, NaN where not observed; and whether their block is allocated."""
     voxel = volume.find_voxels(volume.voxel_index(point_W))
-    D = volume.D.view(-1)[voxel].where(volume.observed(voxel), torch.nan)
-    close = D.abs() * volume.config.truncation_m < CLOSE_VOXELS * volume.config.voxel_size_m
+    nearest = volume.D.view(-1)[voxel].where(volume.observed(voxel), torch.nan)
+    close = nearest.abs() * volume.config.truncation_m < CLOSE_VOXELS * volume.config.voxel_size_m
     interpolated, valid = volume.interpolate(point_W[close])
-    D[close] = interpolated.where(valid, D[close])
+    D = nearest.clone()
+    D[close] = interpolated.where(valid, nearest[close])
     return D, voxel >= 0
 
 
@@ -125,9 +136,9 @@ def _to_block_exit(
 def _zero_crossing(
     volume: TsdfVolume, origin_W: Float[Tensor, " 3"], ray_W: Float[Tensor, "N 3"], bracket: list[Tensor]
 ) -> Float[Tensor, " N"]:
-    """Depth of the zero of the interpolated D inside a bracket (depths before and behind, D before and behind).
+    """Depth of the zero of D inside a bracket (depths before and behind, D before and behind).
 
-    Linear interpolation, then again inside the part of the bracket where the sign changes (regula falsi).
+    Equation (2), then again in the part of the bracket where the sign of the interpolated D changes (regula falsi).
     """
     z0, z1, D0, D1 = bracket
     z = z0 + (z1 - z0) * D0 / (D0 - D1)

@@ -79,6 +79,7 @@ def test_a_far_block_costs_one_node(far, generator):
     insert(both, coords)
     assert insert(both, torch.tensor([far])).tolist() == [len(near)]
     assert both.table is not None
+    assert near.table is not None
     assert int((both.table.nodes > 0).sum()) == int((near.table.nodes > 0).sum()) + 1
     query = torch.randint(-25, 25, (2000, 3), generator=generator)
     assert torch.equal(near.find(query), both.find(query))
