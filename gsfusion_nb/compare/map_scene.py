@@ -277,7 +277,7 @@ def _warm_up(sequence: OpenedSequence, config: SystemConfig, device: str) -> Non
     name = f"{type(config).__name__} {device}"
     if name not in _warm:
         _warm.add(name)
-        plain = with_settings(config, {"seeding.rule": "uniform", "seeding.options": {}})
+        plain = with_settings(config, {"seeding.rule": "uniform", "seeding.options": {"coverage": False}})
         for _ in zip(range(2), MappingRun(sequence, make_mapper(plain, device=device)).online()):  # noqa: B905
             pass
         if "ipykernel" not in sys.modules:  # a process that does nothing else: its modules are not searched every time

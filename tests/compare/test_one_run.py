@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from gsfusion_nb.compare import Budget, RunSpec
+from gsfusion_nb.compare import Budget, RunSpec, map_scene
 from gsfusion_nb.compare.map_scene import Entry
 from gsfusion_nb.compare.one_run import run_entry, run_spec
 from gsfusion_nb.compare.schedule import EQUAL_KEYFRAME_EVERY
@@ -62,6 +62,15 @@ def test_a_rule_without_seeds_has_fewer_steps_and_says_so(spec):
     result = run_entry(Entry(spec=spec("nothing", rule_hash="x"), rule=nothing))
     assert (result.status, result.metrics["n_steps"], result.metrics["n_gaussians"]) == ("done", 2, 0)
     assert result.notes == ["after 5 of 5 frames the map was empty, so no gradient steps were taken"]
+
+
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
+def test_the_first_run_of_a_process_maps(spec, system, monkeypatch):
+    monkeypatch.setattr(map_scene, "_warm", set())
+    result = run_spec(
+        RunSpec(rule=system, scene="wall", data=spec().data, system=system, settings={"data.stop": 3}, budget=Budget(steps="own"))
+    )
+    assert (result.status, result.reason) == ("done", "")
 
 
 def test_what_a_result_holds(spec, tmp_path):
