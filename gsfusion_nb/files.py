@@ -493,6 +493,15 @@ def parsing(source: str | Path, what: str, error: type[SequenceError] = Sequence
         raise error(f"{source} is not readable as {what} ({reason_of(e)}); it may be truncated or damaged") from e
 
 
+@contextmanager
+def refusing(before: str = "", error: type[SequenceError] = SequenceError) -> Iterator[None]:
+    """A ``ValueError`` that a check raises in the block becomes an ``error`` with the text ``before`` its message."""
+    try:
+        yield
+    except ValueError as e:
+        raise error(f"{before}{e}") from None
+
+
 def reason_of(error: Exception) -> str:
     """The kind and the first sentence of an error, short enough to be a part of another sentence."""
     lines = str(error).strip().splitlines()
@@ -500,28 +509,15 @@ def reason_of(error: Exception) -> str:
     return text if isinstance(error, OSError | ValueError) and text else f"{type(error).__name__} {text}".strip()
 
 
-MAX_DIGITS = 200
-"""Of a number: some programs write 60, and reading takes the square of their count."""
-
-
-class _Fault(Exception):
-    """Something in a JSON text is ambiguous or no number."""
-
-
-def read_json(path: str | Path, what: str, *, at_most: int = TEXT_BYTES) -> Any:
-    """Content of a JSON file.
+def read_object(
+    path: str | Path, what: str, *, at_most: int = TEXT_BYTES, objects: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Content of a JSON file that must hold an object, and in it an object at each of the keys ``objects``.
 
     Raises:
         SequenceNotFoundError: no such file. SequenceError: no JSON, or refused by ``parse_json``; names the file.
     """
-    return parse_json(read_text(path, what, at_most=at_most), str(path), what)
-
-
-def read_object(
-    path: str | Path, what: str, *, at_most: int = TEXT_BYTES, objects: tuple[str, ...] = ()
-) -> dict[str, Any]:
-    """``read_json`` of a file that must hold an object, and in it an object at each of the keys ``objects``."""
-    values = read_json(path, what, at_most=at_most)
+    values = parse_json(read_text(path, what, at_most=at_most), str(path), what)
     if not isinstance(values, dict):
         raise SequenceError(f"{path} must hold a JSON object ({what}), got a {type(values).__name__}")
     for key in objects:
@@ -532,32 +528,18 @@ def read_object(
 
 
 def parse_json(text: str, source: str, what: str) -> Any:
-    """``read_json`` of text in memory; ``source`` is its name for messages.
+    """Values of a JSON text; ``source`` is its name for messages.
 
-    What is ambiguous, or no number for a computer, is refused. Python's parser takes the last of two equal keys, reads
-    NaN and Infinity, which JSON does not have, and makes infinities of numbers that are too large.
+    What is no number for a computer is refused. Python's parser reads NaN and Infinity, which JSON does not have, and
+    makes infinities of numbers that are too large. Of two equal keys the last one counts.
     """
     try:
-        return json.loads(
-            text, object_pairs_hook=_object, parse_constant=_number, parse_int=_number, parse_float=_number
-        )
-    except (json.JSONDecodeError, _Fault, RecursionError) as e:
+        return json.loads(text, parse_constant=_finite, parse_float=_finite)
+    except (ValueError, RecursionError) as e:  # a ValueError also where a number has thousands of digits
         raise SequenceError(f"{source} is not valid JSON ({e}); expected {what}") from None
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    values = dict(pairs)
-    if len(values) != len(pairs):
-        keys = [key for key, _ in pairs]
-        raise _Fault(f"the key {next(k for k in keys if keys.count(k) > 1)[:40]!r} appears twice in an object")
-    return values
-
-
-def _number(text: str) -> int | float:
-    if len(text) > MAX_DIGITS:
-        raise _Fault(f"a number of {len(text)} digits")
-    if text.lstrip("-").isdigit():
-        return int(text)
+def _finite(text: str) -> float:
     if not math.isfinite(float(text)):
-        raise _Fault(f"{text} is not a finite number")
+        raise ValueError(f"{text} is not a finite number")
     return float(text)

@@ -22,7 +22,6 @@ from gsfusion_nb.files import (
     parse_json,
     parsing,
     read_bytes,
-    read_json,
     read_member,
     read_object,
     read_text,
@@ -154,18 +153,15 @@ def test_sentences_pass_and_memory_has_its_own():
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ('{"a": 1,\n "b": {"a": 2, "a": 3}}', "the key 'a' appears twice"),
-        ('{"\\u0061": 1, "a": 2}', "the key 'a' appears twice"),
         ('{"a":\n  NaN}', "NaN is not a finite number"),
         ('["NaN", -Infinity]', "-Infinity is not a finite number"),
         ("[1e999]", "1e999 is not a finite number"),
-        (f"[{'9' * 400}]", "a number of 400 digits"),
-        (f"[0.{'9' * 400}]", "a number of 402 digits"),
+        (f"[{'9' * 5000}]", "5000 digits"),
         ("[" * 100_000, "recursion"),
         ('{"a": [1, 2}', "line 1 column 12"),
     ],
 )
-def test_json_that_is_ambiguous_or_no_number(text, fault):
+def test_json_that_is_no_number(text, fault):
     with pytest.raises(SequenceError, match=rf"^a\.json is not valid JSON \(.*{fault}.*\); expected settings$"):
         parse_json(text, "a.json", "settings")
 
@@ -174,7 +170,7 @@ def test_json_in_order(tmp_path):
     (tmp_path / "a.json").write_text(
         '\ufeff{"a": [1, 2.5, "x, NaN: {[", null, true], "b": {"a": -1e-3}}', encoding="utf-8"
     )
-    assert read_json(tmp_path / "a.json", "it") == {"a": [1, 2.5, "x, NaN: {[", None, True], "b": {"a": -1e-3}}
+    assert read_object(tmp_path / "a.json", "it") == {"a": [1, 2.5, "x, NaN: {[", None, True], "b": {"a": -1e-3}}
     (tmp_path / "b.json").write_text("[]")
     with pytest.raises(SequenceError, match=r"b\.json must hold a JSON object \(it\), got a list"):
         read_object(tmp_path / "b.json", "it")

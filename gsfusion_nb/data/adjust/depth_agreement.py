@@ -8,11 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...config import RepairConfig
 from ...geometry import depth_to_points, project, se3
 from ...types import Camera, Frame
 from ..sequence import BadFrameError, Sequence, SequenceError
-from .poses import reread_poses
 
 AGREES = 0.03
 """A point agrees when its depth differs by less than this share: a Kinect's noise at 4 m is 1 to 2 per cent."""
@@ -22,15 +20,15 @@ _MIN_ANGLE_RAD = 0.12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthConsistency:
-    """How well two depth images agree under each of K relative poses."""
+    """How well two depth images agree under one or each of K relative poses."""
 
-    agreeing: Float[Tensor, " K"]
+    agreeing: Float[Tensor, "*K"]
     """Share of ``a``'s points that fall on a depth of ``b`` which differs by less than 3 per cent."""
-    overlap: Float[Tensor, " K"]
+    overlap: Float[Tensor, "*K"]
     """Share of ``a``'s points that fall on a valid depth of ``b``."""
-    median_m: Float[Tensor, " K"]
+    median_m: Float[Tensor, "*K"]
     """Median absolute difference of z-depth over those points, metres; NaN if there are none."""
-    score: Float[Tensor, " K"]
+    score: Float[Tensor, "*K"]
     """Mean of max(0, 1 - difference / 3 per cent) over all points: 1 for exact agreement everywhere."""
 
 
@@ -41,7 +39,7 @@ def sparse_points(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> F
 
 
 def depth_consistency(
-    xyz_a: Float[Tensor, "N 3"], depth_b: Float[Tensor, "H W"], camera: Camera, T_ba: Float[Tensor, "K 4 4"]
+    xyz_a: Float[Tensor, "N 3"], depth_b: Float[Tensor, "H W"], camera: Camera, T_ba: Float[Tensor, "*K 4 4"]
 ) -> DepthConsistency:
     """Move the points of ``a`` into ``b`` under each pose and compare with the depth of the pixel they fall on.
 
@@ -49,10 +47,10 @@ def depth_consistency(
         xyz_a: Points in the frame of camera ``a``, metres (``sparse_points``). [N, 3]
         depth_b: z-depth of ``b``, metres, 0 = missing. [H, W]
         camera: Of ``depth_b``.
-        T_ba: Transforms from camera ``a`` to camera ``b``. [K, 4, 4]
+        T_ba: Transforms from camera ``a`` to camera ``b``. [*K, 4, 4]
     """
     T = T_ba.to(xyz_a.dtype)
-    P = xyz_a @ T[:, :3, :3].transpose(1, 2) + T[:, None, :3, 3]
+    P = xyz_a @ T[..., :3, :3].mT + T[..., None, :3, 3]
     z = P[..., 2]
     front = z > 1e-6
     uv = project(camera, torch.where(front[..., None], P, torch.ones_like(P)))
@@ -68,7 +66,7 @@ def depth_consistency(
         overlap=seen.sum(-1) / total,
         median_m=error.where(seen, torch.nan).nanmedian(dim=-1).values
         if len(xyz_a)
-        else torch.full((len(T),), torch.nan),
+        else torch.full(T.shape[:-2], torch.nan),
         score=(1 - unit).clamp_min(0).sum(-1) / total,
     )
 
@@ -82,33 +80,20 @@ def thinned(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> tuple[C
     return replace(camera, fx=camera.fx / step, fy=camera.fy / step, **moved, **size), small
 
 
-def relative_poses(T_WA: Float[Tensor, "K 4 4"], T_WB: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K 4 4"]:
-    """Transforms from camera A to camera B. [K, 4, 4]"""
+def relative_poses(T_WA: Float[Tensor, "*K 4 4"], T_WB: Float[Tensor, "*K 4 4"]) -> Float[Tensor, "*K 4 4"]:
+    """Transforms from camera A to camera B. [*K, 4, 4]"""
     return se3.inverse(T_WB) @ T_WA
 
 
-@dataclass(frozen=True, kw_only=True)
-class DepthAgreement:
-    """How well the depth of one frame predicts that of another."""
-
-    median_m: float
-    """Median absolute difference of z-depth over the pixels that both see, metres; NaN if there are none."""
-    overlap: float
-    """Share of the first frame's points that fall on a valid depth of the second."""
-    agreeing: float
-    """Share of the first frame's points that also agree with it within 3 per cent."""
-
-
-def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
+def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthConsistency:
     """Move the points of frame ``a`` into frame ``b`` and compare with the depth measured there.
 
     Args:
         a, b: Two frames with the same world frame and camera.
         step: Every step-th pixel of ``a`` in both directions is used.
     """
-    T_ba = relative_poses(a.T_WC.double()[None], b.T_WC.double()[None])
-    found = depth_consistency(sparse_points(b.camera, a.depth_m, step), b.depth_m, b.camera, T_ba)
-    return DepthAgreement(median_m=float(found.median_m), overlap=float(found.overlap), agreeing=float(found.agreeing))
+    T_ba = relative_poses(a.T_WC.double(), b.T_WC.double())
+    return depth_consistency(sparse_points(b.camera, a.depth_m, step), b.depth_m, b.camera, T_ba)
 
 
 def agreeing_share(sequence: Sequence, *, pairs: int = 4) -> float:
@@ -127,26 +112,10 @@ def agreeing_share(sequence: Sequence, *, pairs: int = 4) -> float:
         except BadFrameError:
             continue
         if a.index != b.index:
-            shares.append(depth_agreement(a, b).agreeing)
+            shares.append(float(depth_agreement(a, b).agreeing))
     if not shares:
         raise SequenceError(f"{sequence.name} has no two usable frames; expected at least two to compare")
     return sum(shares) / len(shares)
-
-
-def relative_under(T_a: torch.Tensor, T_b: torch.Tensor, interpretation: RepairConfig) -> torch.Tensor:
-    """Transforms from camera a to camera b, in units of the depth as read, if ``interpretation`` is right. [P, 4, 4]
-
-    A factor on depth scales all points and keeps directions, so the translation is divided by it instead.
-
-    Args:
-        T_a, T_b: Poses as stored. [P, 4, 4]
-        interpretation: How poses and depth are interpreted.
-    """
-    n = len(T_a)
-    T = reread_poses(torch.cat([T_a, T_b]), interpretation)
-    relative = relative_poses(T[:n], T[n:])
-    relative[:, :3, 3] /= interpretation.depth_factor
-    return relative
 
 
 def _partner(sequence: Sequence, first: int) -> int:

@@ -1,5 +1,6 @@
 """Stored poses: from another convention (direction, axes, order of numbers, unit) to ours, and between their times."""
 
+import contextlib
 from typing import Any
 
 import torch
@@ -8,13 +9,22 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...geometry import quaternion, se3
-from ..sequence import SequenceError
+from ..sequence import BadFrameError, Sequence, SequenceError
 
 _DIRECTION = {
     "right": (1.0, 0.0, 0.0), "left": (-1.0, 0.0, 0.0), "down": (0.0, 1.0, 0.0), "up": (0.0, -1.0, 0.0),
     "forward": (0.0, 0.0, 1.0), "back": (0.0, 0.0, -1.0),
 }  # fmt: skip
 _ORDER = {"wxyz": [1, 2, 3, 0], "xyzw": [3, 0, 1, 2]}
+
+
+def stored_poses(sequence: Sequence) -> Float[Tensor, "L 4 4"]:
+    """Poses of all frames as the sequence gives them, float64; NaN where it raises ``BadFrameError``."""
+    poses = torch.full((len(sequence), 4, 4), torch.nan, dtype=torch.float64)
+    for i in range(len(sequence)):
+        with contextlib.suppress(BadFrameError):
+            poses[i] = sequence.pose(i).double()
+    return poses
 
 
 def reread_poses(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:

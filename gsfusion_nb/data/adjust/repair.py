@@ -2,7 +2,6 @@
 range, depth limits and held-out frames (``apply_options``).
 """
 
-import contextlib
 import dataclasses
 import functools
 import math
@@ -20,7 +19,7 @@ from ...types import Camera, Frame
 from ..recorded.images import read_depth
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import BadFrameError, Sequence, SequenceError, position
-from .poses import PosePath, pose_between, raw_matrices, reread_poses, times_of
+from .poses import PosePath, pose_between, raw_matrices, reread_poses, stored_poses, times_of
 from .resize import resize_frame
 
 _RAW = ("matrices", "nearest_rotation", "fit_sizes")
@@ -131,11 +130,7 @@ class RepairedSequence:
 
     @functools.cached_property
     def _path(self) -> PosePath:
-        poses = torch.full((len(self), 4, 4), torch.nan, dtype=torch.float64)
-        for i in range(len(self)):
-            with contextlib.suppress(BadFrameError):
-                poses[i] = reread_poses(self.source.pose(i).double()[None], self.repair)[0]
-        return PosePath(self.times_s, poses)
+        return PosePath(self.times_s, reread_poses(stored_poses(self.source), self.repair))
 
     def _reread(self, i: int) -> Float[Tensor, "4 4"]:
         return reread_poses(self.source.pose(i).double()[None], self.repair)[0].float()
@@ -279,7 +274,7 @@ def apply_options(source: Sequence, data: DataConfig | None = None, extra: Extra
     mapped = sorted(set(chosen) - set(held))
     if not mapped:
         raise SequenceError(f"{source.name}: holding out every {every}th of {len(chosen)} frames leaves none to map")
-    camera = resized_camera(source.camera, data)
+    camera = resized_camera(source.camera, data.width, data.height)
 
     def view(positions: list[int]) -> SequenceView:
         return SequenceView(
@@ -310,12 +305,12 @@ def _selection(source: Sequence, apart: set[int], data: DataConfig) -> list[int]
     return frames[data.start : data.stop or None : data.stride]
 
 
-def resized_camera(camera: Camera, data: DataConfig) -> Camera:
-    """Camera at the requested size; if only one side is given, the proportions are kept."""
-    if not data.width and not data.height:
+def resized_camera(camera: Camera, width: int, height: int) -> Camera:
+    """Camera at the requested size, pixels; 0 keeps the proportions, and two zeros keep the size."""
+    if not width and not height:
         return camera
-    width = data.width or max(1, round(camera.width * data.height / camera.height))
-    height = data.height or max(1, round(camera.height * data.width / camera.width))
+    width = width or max(1, round(camera.width * height / camera.height))
+    height = height or max(1, round(camera.height * width / camera.width))
     return camera.resized(width, height)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from ...files import read_object
 from ...types import Camera
 from ..recorded.files import camera, given_name, images_in, numbers, require
-from ..recorded.poses import read_pose_lines
+from ..recorded.poses import read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..sequence import SequenceError
 
@@ -46,7 +46,7 @@ def replica(path: str | Path) -> RecordedSequence:
     if not frames:
         raise SequenceError(f"{root / 'results'} holds no images frame000000 and so on; expected those of a scene")
     poses_file = root / "traj.txt"
-    poses = read_pose_lines(poses_file)
+    poses = read_rows(poses_file, 16, "16 row-major numbers of a camera-to-world pose per line").reshape(-1, 4, 4)
     if order[-1] >= len(poses):
         raise SequenceError(
             f"{poses_file} holds {len(poses)} poses; expected at least {order[-1] + 1}, up to {frames[-1]}"

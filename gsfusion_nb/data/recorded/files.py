@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ...checks import shown
+from ...files import refusing
 from ...types import Camera
 from ..sequence import SequenceError, SequenceNotFoundError
 
@@ -82,13 +83,11 @@ def numbers(values: dict[str, Any], keys: tuple[str, ...], path: Path) -> dict[s
     lacking = [k for k in keys if k not in values]
     if lacking:
         raise SequenceError(f"{path} lacks {', '.join(lacking)}; expected the keys {', '.join(keys)}")
+    checked = {k: number(values, k, 0, path) for k in keys}
     for k in keys:
-        value = values[k]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise SequenceError(f"{path}: {k} must be a number, got {shown(value)}")
-        if value <= 0 and k not in ("cx", "cy"):
-            raise SequenceError(f"{path}: {k} must be > 0, got {shown(value)}")
-    return {k: float(values[k]) for k in keys}
+        if checked[k] <= 0 and k not in ("cx", "cy"):
+            raise SequenceError(f"{path}: {k} must be > 0, got {shown(values[k])}")
+    return checked
 
 
 def number(values: dict[str, Any], key: str, default: float | int, source: str | Path) -> float:
@@ -117,7 +116,5 @@ def camera(values: dict[str, Any], keys: tuple[str, str, str, str, str, str], pa
         if checked[k] != int(checked[k]):
             raise SequenceError(f"{path}: {k} must be a whole number of pixels, got {checked[k]}")
     width, height, fx, fy, cx, cy = (checked[k] for k in keys)
-    try:
+    with refusing(f"{path}: "):
         return Camera(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
-    except ValueError as e:
-        raise SequenceError(f"{path}: {e}") from None

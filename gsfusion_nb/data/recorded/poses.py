@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...files import read_text
+from ...files import read_text, refusing
 from ...geometry import quaternion
 from ...geometry.operands import check_place
 from ..sequence import BadFrameError, SequenceError
@@ -49,11 +49,6 @@ def read_words(path: Path, what: str) -> list[tuple[int, list[str]]]:
     return lines
 
 
-def read_pose_lines(path: Path) -> Float[Tensor, "N 4 4"]:
-    """Poses written as 16 row-major numbers per line. float64, not yet checked. [N, 4, 4]"""
-    return read_rows(path, 16, "16 row-major numbers of a camera-to-world pose per line").reshape(-1, 4, 4)
-
-
 def write_pose_lines(path: Path, T_WC: Float[Tensor, "N 4 4"]) -> None:
     """Write ``poses.txt`` or ``traj.txt``: 16 row-major numbers per line."""
     lines = (" ".join(f"{value:.9g}" for value in pose) for pose in T_WC.double().flatten(1).tolist())
@@ -71,14 +66,10 @@ def checked_pose(T_WC: Float[Tensor, "4 4"], source: str) -> Float[Tensor, "4 4"
         raise BadFrameError(
             f"{source} has NaN or infinite entries; expected a camera-to-world pose (tracking was lost?)"
         )
-    try:
+    with refusing(f"{source} is not a rigid camera-to-world pose: ", BadFrameError):
         check_pose("the pose", T_WC, MAX_RIGIDITY_ERROR)
-    except ValueError as e:
-        raise BadFrameError(f"{source} is not a rigid camera-to-world pose: {e}") from None
-    try:
+    with refusing(error=BadFrameError):
         check_place(source, T_WC)
-    except ValueError as e:
-        raise BadFrameError(str(e)) from None
     return T_WC.to(torch.float32)
 
 

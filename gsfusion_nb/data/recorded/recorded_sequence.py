@@ -10,10 +10,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...files import refusing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
 from ...types import Camera, Frame
 from ..adjust.resize import resize_colour
-from ..sequence import BadFrameError, Sequence, SequenceError, position
+from ..sequence import BadFrameError, Sequence, position
 from .images import read_depth, read_rgb
 from .poses import checked_pose
 
@@ -60,11 +61,9 @@ class RecordedSequence:
     """Every file that was read to open the recording: poses, intrinsics, lists. ``open_sequence`` notes them."""
 
     def __post_init__(self):
-        try:
+        with refusing():
             check_plausible_camera(f"{self.name}: camera", self.camera)
             check_depth_scale(self.name, self.depth_scale)
-        except ValueError as e:
-            raise SequenceError(str(e)) from None
 
     def __len__(self) -> int:
         return len(self.rgb_files)

@@ -253,6 +253,6 @@ class SelectedFrames:
             close()
 
     def _prepared(self, frame: Frame, position: int) -> Frame:
-        frame = resize_frame(frame, resized_camera(frame.camera, self._data))
+        frame = resize_frame(frame, resized_camera(frame.camera, self._data.width, self._data.height))
         frame = dataclasses.replace(frame, index=self._first_index + position)
         return within_depth(frame, self._data.depth_min_m, self._data.depth_max_m, name=self._name)

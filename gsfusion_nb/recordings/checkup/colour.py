@@ -68,7 +68,7 @@ def fit_colour(sample: Sample) -> ColourFit | None:
         surface = _surface(edges, _transforms([g[flip] for g in plain]))
         options.append((*peak_of(surface), 1.0, name))
     score, peak, shift, scale, mirror = max(options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7))
-    near, at_near = _near(spatial)
+    near, _, at_near = peak_of(spatial, reach=1)
     frames = 0
     if mirror == "none" and score < _BETTER * near:  # within the noise: keep as read
         score, shift, scale = near, at_near, 1.0
@@ -152,16 +152,13 @@ def colour_contrast(grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> F
     return np.asarray(np.minimum(size / (cv2.blur(size, (31, 31)) + 4), 4), dtype=np.float32)
 
 
-def _closed(depth_m: np.ndarray, widest: int = 10) -> np.ndarray:
-    """Image rows in which holes of at most ``widest`` pixels are filled with the farther side."""
-    h, w = depth_m.shape
-    column = np.arange(w)[None]
-    left = np.maximum.accumulate(np.where(depth_m > 0, column, -w), axis=1)
-    right = np.minimum.accumulate(np.where(depth_m > 0, column, 2 * w)[:, ::-1], axis=1)[:, ::-1]
-    narrow = (depth_m <= 0) & (left >= 0) & (right < w) & (right - left <= widest)
-    row = np.arange(h)[:, None]
-    sides = depth_m[row, np.clip(left, 0, w - 1)], depth_m[row, np.clip(right, 0, w - 1)]
-    return np.where(narrow, np.maximum(*sides), depth_m)
+def _closed(depth_m: np.ndarray, reach: int = 5) -> np.ndarray:
+    """Depth in which holes of at most ``2 * reach`` pixels in a row are filled with the farther side."""
+    import cv2
+
+    closed = cv2.morphologyEx(depth_m, cv2.MORPH_CLOSE, np.ones((1, 2 * reach + 1)))
+    narrow = (depth_m <= 0) & (closed > 0)
+    return np.where(narrow, cv2.dilate(depth_m, np.ones((1, 4 * reach + 1))), depth_m)
 
 
 def _transforms(contrast: list[np.ndarray]) -> list[np.ndarray]:
@@ -184,15 +181,15 @@ def _surface(edges: list[np.ndarray], transforms: list[np.ndarray]) -> np.ndarra
     return np.roll(total, (R, R), (0, 1))[: 2 * R + 1, : 2 * R + 1] / max(sum(float(E.sum()) for E in edges), 1.0)
 
 
-def peak_of(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
-    """Height, height in standard deviations, and position of the highest peak, to fractions of a pixel by parabolas."""
-    j, i = np.unravel_index(int(surface.argmax()), surface.shape)
+def peak_of(surface: np.ndarray, reach: int = REACH_PX) -> tuple[float, float, tuple[float, float]]:
+    """Height, height in standard deviations, and position of the highest peak, to fractions of a pixel by parabolas.
+
+    Only shifts of at most ``reach`` pixels are searched.
+    """
+    low = REACH_PX - reach
+    middle = surface[low : REACH_PX + reach + 1, low : REACH_PX + reach + 1]
+    j, i = (int(x) + low for x in np.unravel_index(int(middle.argmax()), middle.shape))
     peak = float((surface[j, i] - surface.mean()) / (surface.std() + 1e-9))
-    return float(surface[j, i]), peak, _top_of(surface, int(j), int(i))
-
-
-def _top_of(surface: np.ndarray, j: int, i: int) -> tuple[float, float]:
-    """Position of the peak at row ``j`` and column ``i``, to fractions of a pixel."""
     place = []
     for at, line in ((i, surface[j]), (j, surface[:, i])):
         d = 0.0
@@ -200,16 +197,7 @@ def _top_of(surface: np.ndarray, j: int, i: int) -> tuple[float, float]:
             bend = line[at - 1] - 2 * line[at] + line[at + 1]
             d = float(np.clip(0.5 * (line[at - 1] - line[at + 1]) / bend, -1, 1)) if bend < 0 else 0.0
         place.append(float(at + d - REACH_PX))
-    return place[0], place[1]
-
-
-def _near(surface: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """Height and position of the highest of the nine values around zero shift."""
-    R = REACH_PX
-    middle = surface[R - 1 : R + 2, R - 1 : R + 2]
-    j, i = np.unravel_index(int(middle.argmax()), middle.shape)
-    place = _top_of(surface, R - 1 + int(j), R - 1 + int(i))
-    return float(middle[j, i]), place
+    return float(surface[j, i]), peak, (place[0], place[1])
 
 
 def _scaled_peak(

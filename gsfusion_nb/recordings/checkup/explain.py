@@ -15,8 +15,8 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...config.parts import AXES, NAMED_AXES
-from ...data.adjust.depth_agreement import depth_consistency, relative_under, sparse_points
-from ...data.adjust.poses import axis_matrix
+from ...data.adjust.depth_agreement import depth_consistency, relative_poses, sparse_points
+from ...data.adjust.poses import axis_matrix, reread_poses
 from ...types import Camera
 from .fit import (
     KINDS,
@@ -114,12 +114,17 @@ def best_interpretation(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) ->
 def _relatives(
     T_a: Float[Tensor, "P 4 4"], T_b: Float[Tensor, "P 4 4"], interpretations: abc.Sequence[RepairConfig]
 ) -> Float[Tensor, "K P 4 4"]:
-    """Relative poses under every interpretation; those that differ only in axes and depth factor are computed once."""
+    """Transforms from camera a to camera b under every interpretation, in units of the depth as read.
+
+    A factor on depth scales all points and keeps directions, so the translation is divided by it instead.
+    Interpretations that differ only in axes and depth factor share the rest.
+    """
     known: dict[tuple[str, str], Float[Tensor, "P 4 4"]] = {}
     axes: dict[str, Float[Tensor, "4 4"]] = {}
     for r in interpretations:
         if (r.quaternions, r.poses) not in known:
-            known[r.quaternions, r.poses] = relative_under(T_a, T_b, replace(r, axes="opencv", depth_factor=1.0))
+            a, b = (reread_poses(T, replace(r, axes="opencv")) for T in (T_a, T_b))
+            known[r.quaternions, r.poses] = relative_poses(a, b)
         if r.axes not in axes:
             axes[r.axes] = axis_matrix(r)
     M = torch.stack([axes[r.axes] for r in interpretations])[:, None]

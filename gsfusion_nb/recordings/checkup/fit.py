@@ -16,6 +16,7 @@ from torch import Tensor
 from ...config import RepairConfig
 from ...data.adjust.depth_agreement import AGREES, relative_poses
 from ...data.adjust.poses import pose_between, reread_poses
+from ...geometry import pixel_grid
 from ...types import Camera
 from .sample import Sample
 
@@ -66,16 +67,14 @@ class FitData:
         """Data of the pairs with poses and depth scale interpreted by ``interpretation``."""
         camera = sample.depth_camera
         step = max(1, round(math.sqrt(camera.width * camera.height / points)))
-        grid = torch.meshgrid(
-            torch.arange(step // 2, camera.height, step), torch.arange(step // 2, camera.width, step), indexing="ij"
-        )
-        v, u = (g.reshape(-1) for g in grid)
+        uv = pixel_grid(camera)[step // 2 :: step, step // 2 :: step].reshape(-1, 2)
+        u, v = uv.long().unbind(-1)
         there = sample.by_place
         factor = interpretation.depth_factor
         frames = sorted({place for pair in pairs for place in pair})
         row = {place: i for i, place in enumerate(frames)}
         return FitData(
-            uv_a=(torch.stack([u, v], -1) + 0.5).expand(len(pairs), -1, 2),
+            uv_a=uv.expand(len(pairs), -1, 2),
             depth_a=torch.stack([there[a].depth_m[v, u] for a, _ in pairs]) * factor,
             depth_b=torch.stack([there[b].depth_m for _, b in pairs]) * factor,
             camera=camera,

@@ -60,7 +60,7 @@ def depth_error(first: Frame, second: Frame) -> Picture:
     # sparse points leave holes, so the target has half the resolution
     step = max(1, round(first.camera.width / (_WIDTH / 2)))
     camera, depth_b = thinned(second.camera, second.depth_m, step)
-    T = relative_poses(first.T_WC[None].double(), second.T_WC[None].double())[0]
+    T = relative_poses(first.T_WC.double(), second.T_WC.double())
     warped = warp_depth(first.depth_m, first.camera, camera, T)
     picture = depth_error_map(warped, depth_b)
     size = (_WIDTH, round(picture.shape[0] * _WIDTH / picture.shape[1]))

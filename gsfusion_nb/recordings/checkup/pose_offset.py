@@ -25,7 +25,7 @@ from ...data.adjust.depth_agreement import relative_poses
 from ...data.adjust.poses import PosePath, times_of
 from ...data.sequence import Sequence
 from ...files import SequenceError
-from ...geometry import se3
+from ...geometry import pixel_grid, rays, se3
 from ...types import Camera
 from .sample import FrameFacts, Sample, read_sample
 from .sample import places as places_to_read
@@ -234,12 +234,10 @@ def aligned(
         blur: Standard deviation of the blur of the pictures, in widths.
     """
     camera, smooth = sample.depth_camera, {f.place: _blurred(f, blur) for pair in pairs for f in pair}
-    v, u = (x.reshape(-1) for x in _points(camera))
-    uv = torch.stack([u, v], -1) + 0.5
-    directions = torch.stack(
-        [(uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy, torch.ones(len(u))], -1
-    )
-    points = directions * torch.stack([a.depth_m[v, u] for a, _ in pairs])[..., None]
+    every = max(1, camera.width // _ACROSS)
+    uv = pixel_grid(camera)[every // 2 :: every, every // 2 :: every].reshape(-1, 2)
+    u, v = uv.long().unbind(-1)
+    points = rays(camera, uv) * torch.stack([a.depth_m[v, u] for a, _ in pairs])[..., None]
     first = torch.stack([smooth[a.place] for a, _ in pairs])[:, None]
     grey_a = _sampled(first, uv.expand(len(pairs), -1, 2), camera)[0][..., 0]
     second = torch.stack([smooth[b.place] for _, b in pairs])
@@ -283,14 +281,6 @@ def _normal_equations(
     w = 1 / ((1 + (r / (2 * scale)) ** 2) * scale**2)
     H, g = J.mT @ (w[..., None] * J), (J * (w * r)[..., None]).sum(1)
     return H.double(), g.double()
-
-
-def _points(camera: Camera) -> tuple[Tensor, Tensor]:
-    """Rows and columns of the pixels that are compared."""
-    every = max(1, camera.width // _ACROSS)
-    sides = (torch.arange(every // 2, size, every) for size in (camera.height, camera.width))
-    rows, columns = torch.meshgrid(*sides, indexing="ij")
-    return rows, columns
 
 
 def _blurred(f: FrameFacts, blur: float) -> Float[Tensor, "h w"]:

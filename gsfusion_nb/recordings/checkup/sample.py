@@ -1,6 +1,5 @@
 """The frames that a check-up examines, read one by one and reduced to what it needs."""
 
-import contextlib
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +8,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from ...data.adjust.depth_agreement import thinned
+from ...data.adjust.poses import stored_poses
 from ...data.sequence import BadFrameError, Sequence
 from ...types import Camera, Frame
 
@@ -82,7 +82,7 @@ def read_sample(sequence: Sequence, *, frames: int = 250, at: list[int] | None =
         length=len(sequence),
         camera=camera,
         depth_camera=depth_camera,
-        stored_poses=_stored_poses(sequence),
+        stored_poses=stored_poses(sequence),
     )
     last: Frame | None = None
     for place in places(len(sequence), frames) if at is None else at:
@@ -97,14 +97,6 @@ def read_sample(sequence: Sequence, *, frames: int = 250, at: list[int] | None =
         last = frame
         sample.frames.append(facts)
     return sample
-
-
-def _stored_poses(sequence: Sequence) -> Float[Tensor, "L 4 4"]:
-    poses = torch.full((len(sequence), 4, 4), torch.nan, dtype=torch.float64)
-    for i in range(len(sequence)):
-        with contextlib.suppress(BadFrameError):
-            poses[i] = sequence.pose(i).double()
-    return poses
 
 
 def _facts(frame: Frame, place: int, step: int) -> FrameFacts:

@@ -12,7 +12,7 @@ from ...checks import shown
 from ...data.adjust.resize import resize_colour
 from ...data.lens import TIE, CameraModel, pixel_map, same_rays, warp_depth, z_of_range
 from ...data.sequence import SequenceError
-from ...files import parsing, read_object
+from ...files import parsing, read_object, refusing
 from ...types import Camera
 from .recording import RecordedFrame, RgbdImages
 from .trajectory import read_numbers
@@ -33,7 +33,7 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
     """
     path = Path(text_or_file)
     if path.suffix.lower() == ".json":
-        return intrinsics_of_json(path, size, centre=centre)
+        return model_of_object(read_object(path, f"the camera's intrinsics as {_WAYS}"), size, str(path), centre=centre)
     try:
         values = [float(w) for w in text_or_file.replace(",", " ").split()]
         source = f"intrinsics {shown(text_or_file)}"
@@ -62,10 +62,8 @@ def model_of(
         )
     fx, fy, cx, cy = values
     shift = 0.5 - centre
-    try:
+    with refusing(f"{source}: "):
         camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
-    except ValueError as e:
-        raise SequenceError(f"{source}: {e}") from None
     return CameraModel(camera, distortion if any(distortion) or fisheye else (), fisheye)
 
 
@@ -81,13 +79,8 @@ def model_of_matrix(values: list[float], size: tuple[int, int], source: str, *, 
     return model_of([values[0], values[n + 1], values[2], values[n + 2]], size, source, centre=centre)
 
 
-def intrinsics_of_json(path: Path, size: tuple[int, int] | None, *, centre: float = 0.0) -> CameraModel:
-    """Camera of Open3D's camera_intrinsic.json (column-major ``intrinsic_matrix``), or of keys fx, fy, cx, cy."""
-    return model_of_object(read_object(path, f"the camera's intrinsics as {_WAYS}"), size, str(path), centre=centre)
-
-
 def model_of_object(values: dict[str, Any], size: tuple[int, int] | None, source: str, *, centre: float) -> CameraModel:
-    """Camera of a JSON object (``intrinsics_of_json``)."""
+    """Camera of Open3D's camera_intrinsic.json (column-major ``intrinsic_matrix``), or of keys fx, fy, cx, cy."""
     with parsing(source, "intrinsic_matrix of 9 numbers, column by column, or fx, fy, cx, cy"):
         if "width" in values or size is None:
             size = (round(values["width"]), round(values["height"]))
@@ -152,13 +145,3 @@ class Rectifier:
             return depth_m
         u, v = _map(model, camera)
         return cv2.remap(depth_m, u - np.float32(TIE), v - np.float32(TIE), cv2.INTER_NEAREST, borderValue=0)
-
-
-def output_camera(model: CameraModel, width: int, height: int) -> Camera:
-    """The pinhole that is written: of ``model`` undistorted, at the wanted size; one side keeps the proportions."""
-    camera = model.pinhole()
-    if not width and not height:
-        return camera
-    width = width or max(1, round(camera.width * height / camera.height))
-    height = height or max(1, round(camera.height * width / camera.width))
-    return camera.resized(width, height)

@@ -14,7 +14,7 @@ from ...config.values import Settings, within
 from ...data.lens import CameraModel
 from ...data.recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
 from ...data.sequence import BadFrameError, SequenceError
-from ...files import is_file, open_regular, parsing
+from ...files import is_file, open_regular, parsing, refusing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
 
 
@@ -119,10 +119,8 @@ class RecordedFrame:
     def __post_init__(self):
         for kind, model in (("colour", self.model), ("depth", self.depth_model)):
             if model is not None:
-                try:
+                with refusing():
                     check_plausible_camera(f"{self.source}: {kind} camera", model.camera)
-                except ValueError as e:
-                    raise SequenceError(str(e)) from None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,10 +149,8 @@ class Recording:
     """Sentences on what was assumed or found."""
 
     def __post_init__(self):
-        try:
+        with refusing():
             check_depth_scale(self.name, self.depth_scale)
-        except ValueError as e:
-            raise SequenceError(str(e)) from None
 
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".exr")

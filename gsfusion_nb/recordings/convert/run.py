@@ -15,6 +15,7 @@ import tyro
 
 from ...checks import check_name
 from ...config.values import parse_options
+from ...data.adjust.repair import resized_camera
 from ...data.lens import CameraModel
 from ...data.recorded.times import judge_stamps
 from ...data.room.hand_held import write_depth, write_rgb
@@ -22,7 +23,7 @@ from ...data.sequence import BadFrameError, SequenceError
 from ...files import atomic_folder, parsing
 from ...types import Camera
 from ...work import ProgressDisplay
-from .camera import Rectifier, output_camera, read_intrinsics
+from .camera import Rectifier, read_intrinsics
 from .formats import FORMATS, detect_format, known_formats
 from .recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
 from .trajectory import FramePoses
@@ -226,7 +227,8 @@ class _Conversion:
         height, width = images.rgb.shape[:2]
         model = self._model(frame, (width, height))
         if self._rectifier is None:
-            camera = output_camera(model.fitted(width, height, frame.source), self._options.width, self._options.height)
+            pinhole = model.fitted(width, height, frame.source).pinhole()
+            camera = resized_camera(pinhole, self._options.width, self._options.height)
             self._rectifier = Rectifier(camera, along_ray=self._recording.depth_along_ray)
         return self._rectifier(frame, model, images)
 

@@ -13,7 +13,7 @@ from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows,
 from ...data.recorded.times import PER_SECOND
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
-from ...files import parsing, read_text
+from ...files import parsing, read_text, refusing
 from ...geometry import se3
 from .recording import ConvertOptions, RecordedFrame, Recording
 
@@ -180,10 +180,8 @@ def read_matrix(path: Path) -> Float[Tensor, "4 4"]:
     T = torch.tensor(read_numbers(path, "16 row-major numbers of a rigid transform"), dtype=torch.float64)
     if T.numel() != 16:
         raise SequenceError(f"{path} must hold 16 row-major numbers of a rigid transform, got {T.numel()}")
-    try:
+    with refusing(f"{path} is not a rigid transform: "):
         check_pose("the transform", T.reshape(4, 4))
-    except ValueError as e:
-        raise SequenceError(f"{path} is not a rigid transform: {e}") from None
     return T.reshape(4, 4)
 
 

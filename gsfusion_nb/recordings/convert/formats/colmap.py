@@ -51,16 +51,8 @@ class ColmapImage:
     """Pixel x, y and number of every triangulated point that it sees. [K] of ``_OBSERVATION``"""
 
 
-@dataclass(frozen=True, eq=False)
-class ColmapModel:
-    """Cameras by id and images in order of the file."""
-
-    cameras: dict[int, CameraModel]
-    images: list[ColmapImage]
-
-
-def read_model(folder: Path) -> ColmapModel:
-    """A model of cameras.bin and images.bin, or of the text files of those names.
+def read_model(folder: Path) -> tuple[dict[int, CameraModel], list[ColmapImage]]:
+    """Cameras by id and images in order of the file, from cameras.bin and images.bin or the text files of those names.
 
     Raises:
         SequenceError: a file is missing, cut short or damaged, or a camera has an unknown distortion.
@@ -74,7 +66,7 @@ def read_model(folder: Path) -> ColmapModel:
         images = list(read[1](file, path))
     if not images or any(image.camera not in cameras for image in images):
         raise SequenceError(f"{path} must register images of the cameras {', '.join(map(str, cameras))}")
-    return ColmapModel(cameras, images)
+    return cameras, images
 
 
 def read_points(folder: Path) -> dict[int, tuple[float, float, float]]:
@@ -198,6 +190,8 @@ _DEPTH_PLACES = ("depth", "depths", "depth_maps")
 _MEASURED_IMAGES = 20
 _FEWEST_RATIOS = 30
 
+LOOKS_FOR = "cameras and images, .bin or .txt, also in sparse/0"
+
 
 def recognise(path: Path) -> bool:
     """A model in one of the usual places."""
@@ -211,8 +205,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         raise SequenceNotFoundError(
             f"{path} holds no COLMAP model; expected cameras and images (.bin or .txt) in it or in sparse/0"
         )
-    model = read_model(folder)
-    images = sorted(model.images, key=lambda i: natural_order(Path(i.name)))
+    cameras, images = read_model(folder)
+    images = sorted(images, key=lambda i: natural_order(Path(i.name)))
     colour = _beside(path, folder, ("images",), "colour images")
     depth = Path(options.depth) if options.depth else _beside(path, folder, _DEPTH_PLACES, "depth images (--depth)")
     if not depth.is_dir():
@@ -230,7 +224,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             yield RecordedFrame(
                 source=str(colour / image.name),
                 time_s=None,
-                model=model.cameras[image.camera],
+                model=cameras[image.camera],
                 T_WC=se3.inverse(image.T_CW),
                 load=load,
             )
@@ -243,7 +237,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                 depth_m = read_depth_file(depth_file(image), scale)
             except BadFrameError:
                 continue
-            ratios += metres_per_unit(model.cameras[image.camera].camera, image, depth_m, points)
+            ratios += metres_per_unit(cameras[image.camera].camera, image, depth_m, points)
         if len(ratios) < _FEWEST_RATIOS:
             return 1.0, f"only {len(ratios)} sparse points have depth, too few to measure it"
         low, middle, high = statistics.quantiles(ratios, n=4)

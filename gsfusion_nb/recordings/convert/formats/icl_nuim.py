@@ -26,6 +26,8 @@ _MODEL = CameraModel(Camera(width=_WIDTH, height=_HEIGHT, fx=481.2, fy=480.0, cx
 _MIRROR = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0], dtype=torch.float64))
 _DEPTH_SCALE = 5000.0
 
+LOOKS_FOR = "a trajectory *.gt.freiburg, or *.depth files"
+
 
 def recognise(path: Path) -> bool:
     """A ground truth of ICL-NUIM, or POV-Ray depth."""

@@ -30,6 +30,8 @@ from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, lo
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
 
+LOOKS_FOR = "transforms.json"
+
 
 def recognise(path: Path) -> bool:
     """The file, or a folder that holds it."""

@@ -20,12 +20,14 @@ from ....data.recorded.files import images_in, natural_order
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
-from ..camera import intrinsics_of_json, model_of_object
+from ..camera import model_of_object
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair
 
 _COLOUR = ("color", "image", "rgb", "images")
 _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
 _TRAJECTORIES = ("trajectory.log", "scene/trajectory.log", "scene/integrated.log", "*.log", "trajectory.json")
+
+LOOKS_FOR = "trajectory.log or .json, color/ and depth/"
 
 
 def recognise(path: Path) -> bool:
@@ -50,10 +52,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     intrinsics = next((path / n for n in _INTRINSICS if (path / n).is_file()), None)
     notes = []
     if intrinsics is not None and not options.intrinsics:
-        model, notes = (
-            intrinsics_of_json(intrinsics, None),
-            [f"intrinsics from {intrinsics}, pixel centres at integers"],
-        )
+        values = read_object(intrinsics, "the camera's intrinsics")
+        model = model_of_object(values, None, str(intrinsics), centre=0.0)
+        notes = [f"intrinsics from {intrinsics}, pixel centres at integers"]
     scale = options.depth_scale or 1000.0
 
     def recorded_frames() -> Iterator[RecordedFrame]:

@@ -34,6 +34,8 @@ _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
 Fetch = Callable[[str], bytes]
 """Content of a member of the archive, by name."""
 
+LOOKS_FOR = "a .r3d file, or its unpacked folder, or the EXR export"
+
 
 def recognise(path: Path) -> bool:
     """The archive, or a folder with metadata and rgbd/, or the export with EXR."""

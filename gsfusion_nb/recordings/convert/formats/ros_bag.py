@@ -66,6 +66,9 @@ class _Bag:
     millimetres: bool = True
 
 
+LOOKS_FOR = "a .bag or .mcap file, or a folder with metadata.yaml"
+
+
 def recognise(path: Path) -> bool:
     """A .bag or .mcap file, or the folder of a ROS 2 bag."""
     return path.suffix in (".bag", ".mcap", ".db3") if path.is_file() else (path / "metadata.yaml").is_file()

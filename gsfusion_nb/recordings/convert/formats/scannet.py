@@ -38,6 +38,8 @@ from ..recording import (
 )
 from ..trajectory import read_numbers
 
+LOOKS_FOR = "a .sens file, or a folder with color/, depth/ and pose/"
+
 
 def recognise(path: Path) -> bool:
     """A .sens file, a folder with one, or the exported folders."""

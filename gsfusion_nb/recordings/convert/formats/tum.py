@@ -172,6 +172,8 @@ def _named_by_time(path: Path, name: str) -> _Stream:
 _CALIBRATIONS = ("calibration.txt", "camera.txt", "calib.txt", "intrinsics.txt", "intrinsics.json", "camera.json")
 _TRAJECTORIES = ("groundtruth.txt", "poses.txt", "trajectory.txt", "CameraTrajectory.txt")
 
+LOOKS_FOR = "rgb.txt and depth.txt, associations.txt, or rgb/ and depth/"
+
 
 def recognise(path: Path) -> bool:
     """Lists, or folders rgb and depth."""
