@@ -4,7 +4,7 @@ import time
 from collections import abc
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ...config import DataConfig, RepairConfig
 from ...data.adjust.repair import apply_options
@@ -69,35 +69,30 @@ def check_recording(
     if not pairs:
         return report
 
-    found = _examine(sample, pairs, base, hint, posed)
-    more = found.data
+    found, more, reader, graphs = _examine(sample, pairs, base, hint, posed)
     changes = {n: getattr(more, n) for n in ("start", "stop", "depth_min_m", "depth_max_m") if getattr(more, n)}
     mended = replace(given, repair=combined(given.repair, more.repair), **changes)
     again = apply_options(base, mended) if more != DataConfig() and posed else None
     return replace(
         report,
-        findings=[*report.findings, *found.findings],
+        findings=[*report.findings, *found],
         data=mended,
-        reader=found.reader,
+        reader=reader,
         pictures=pictures_of(sequence, again, pairs, posed=posed) if pictures else {},
-        graphs=found.graphs if pictures else [],
+        graphs=graphs if pictures else [],
         seconds=time.perf_counter() - started,
     )
 
 
-class _Found(NamedTuple):
-    findings: list[Finding]
-    data: DataConfig
-    """The repairs that are added to those the recording was read with."""
-    reader: dict[str, Any]
-    """Options of the reader that repair it."""
-    graphs: list[PageGraph]
-
-
 def _examine(
     sample: Sample, pairs: abc.Sequence[tuple[int, int]], base: Sequence, hint: dict[str, Any], posed: bool
-) -> _Found:
-    """All findings that come from the frames read; without poses (``posed`` False) those on the images alone."""
+) -> tuple[list[Finding], DataConfig, dict[str, Any], list[PageGraph]]:
+    """All findings that come from the frames read; without poses (``posed`` False) those on the images alone.
+
+    Returns:
+        The findings, the repairs that are added to those the recording was read with, the options of the reader that
+        repair it, and the graphs.
+    """
     codes, code_finding = clear_codes(sample.frames, getattr(base, "depth_scale", None))
     colour, colour_findings = registration_findings(fit_colour(sample), sample.camera)
     related, reader = colour_findings[0].verdict != "wrong" or bool(colour.changes), {}
@@ -130,7 +125,7 @@ def _examine(
     data = replace(limits, start=piece.start, stop=piece.stop, repair=replace(combined(repair, colour), skip=skip))
     coverage = missing_finding(sample.frames)
     findings = [first, coverage, code_finding, *about, *colour_findings, *images, *last]
-    return _Found(findings, data, reader, graphs)
+    return findings, data, reader, graphs
 
 
 def combined(first: RepairConfig, second: RepairConfig) -> RepairConfig:

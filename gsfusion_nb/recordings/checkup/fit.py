@@ -95,21 +95,16 @@ class FitData:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reprojection:
-    """Positions of the points of the first frames in the second ones."""
-
-    uv_b: Float[Tensor, "P N 2"]
-    """Pixels of the subsampled depth camera."""
-    residual: Float[Tensor, "P N"]
-    """Relative depth difference (predicted - measured) / measured; 0 where unknown."""
-    known: Bool[Tensor, "P N"]
-
-
-def reproject(data: FitData, c: CalibrationCorrection) -> Reprojection:
+def reproject(
+    data: FitData, c: CalibrationCorrection
+) -> tuple[Float[Tensor, "P N 2"], Float[Tensor, "P N"], Bool[Tensor, "P N"]]:
     """Move all points from frame to frame.
 
     The measured depth is interpolated between four pixels of one surface; points between two surfaces are not compared.
+
+    Returns:
+        Pixels of the subsampled depth camera in the second frames; relative depth difference
+        (predicted - measured) / measured, 0 where unknown; and whether it is known.
     """
     camera = data.corrected_camera(c)
     T = data.path(c.shift_frames).to(data.uv_a.dtype)
@@ -128,7 +123,7 @@ def reproject(data: FitData, c: CalibrationCorrection) -> Reprojection:
         measured = measured / (1 + xb * xb + yb * yb).sqrt()
     known = known & ok
     residual = ((Q[..., 2] - measured) / measured.where(known, 1.0)).where(known, 0.0)
-    return Reprojection(uv_b=uv_b, residual=residual, known=known)
+    return uv_b, residual, known
 
 
 class Agreement(NamedTuple):
@@ -142,19 +137,19 @@ class Agreement(NamedTuple):
 
 def agreement(data: FitData, c: CalibrationCorrection) -> Agreement:
     """How well the pairs agree under a correction."""
-    found = reproject(data, c)
-    r = found.residual.abs()
+    _, residual, known = reproject(data, c)
+    r = residual.abs()
     posed = torch.isfinite(data.path(c.shift_frames)).all(dim=(1, 2))
     there = (posed[data.rows[0]] & posed[data.rows[1]])[:, None] & (data.depth_a > 0)
-    share = float(((r < AGREES) & found.known).sum() / there.sum().clamp_min(1))
-    error = (r * data.depth_a)[found.known]
+    share = float(((r < AGREES) & known).sum() / there.sum().clamp_min(1))
+    error = (r * data.depth_a)[known]
     return Agreement(share, float(error.median()) * math.exp(c.log_scale) if len(error) else math.nan)
 
 
 def median_error(data: FitData, c: CalibrationCorrection) -> float:
     """Median |relative depth difference| over the points that fall on a valid depth."""
-    found = reproject(data, c)
-    return float(found.residual[found.known].abs().median()) if bool(found.known.any()) else math.nan
+    _, residual, known = reproject(data, c)
+    return float(residual[known].abs().median()) if bool(known.any()) else math.nan
 
 
 def _path(poses: Float[Tensor, "L 4 4"], frames: list[int]) -> PosesAtShift:
@@ -299,9 +294,9 @@ def cost_of(data: FitData, start: CalibrationCorrection) -> Callable[[Calibratio
     tolerance = min(max(3 * median_error(data, start), 0.002), 0.06)
 
     def cost(c: CalibrationCorrection) -> float:
-        found = reproject(data, c)
-        each = (found.residual.abs() / tolerance).clamp(max=1.0) * found.known
-        return (float(each.sum()) + 1e-9) / (float(found.known.sum()) + 1e-9)
+        _, residual, known = reproject(data, c)
+        each = (residual.abs() / tolerance).clamp(max=1.0) * known
+        return (float(each.sum()) + 1e-9) / (float(known.sum()) + 1e-9)
 
     return cost
 

@@ -96,17 +96,17 @@ def gains(
 ) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
     """Brightness of the same points in the second / first frame of each pair, log2, without those near black or white,
     and the median relative difference of their depths; NaN if there are too few points."""
-    reprojected, there = reproject(data, correction), sample.by_place
-    residual, (low, high) = reprojected.residual.abs(), _USABLE_GREY
+    uv_b, residual, all_known = reproject(data, correction)
+    there, residual, (low, high) = sample.by_place, residual.abs(), _USABLE_GREY
     stops, errors = np.full(len(pairs), np.nan), np.full(len(pairs), np.nan)
     for j, (first, second) in enumerate(pairs):
-        known = reprojected.known[j]
+        known = all_known[j]
         if int(known.sum()) < 50:
             continue
         errors[j] = float(residual[j][known].median())
         agrees = known & (residual[j] < _AGREES_FOR_COLOUR)
         a = _look_up(there[first].grey, data.uv_a[j][agrees], data.camera.width)
-        b = _look_up(there[second].grey, reprojected.uv_b[j][agrees], data.camera.width)
+        b = _look_up(there[second].grey, uv_b[j][agrees], data.camera.width)
         good = (a > low) & (a < high) & (b > low) & (b < high)
         if good.sum() >= 30:
             stops[j] = float(np.median(np.log2(b[good] / a[good])))
