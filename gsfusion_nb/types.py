@@ -22,9 +22,13 @@ def rgb_of_bytes(levels: UInt8[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
     return levels.float().div_(255.0)
 
 
-def _places(rows):
-    """A mask as the places where it is true: looked for once, not for every column."""
-    return rows.nonzero()[:, 0] if isinstance(rows, Tensor) and rows.dtype == torch.bool and rows.ndim == 1 else rows
+def _taken(columns: dict[str, Tensor], rows: Any) -> dict[str, Tensor]:
+    """Rows of every column. A mask is searched once, and whole rows are copied faster than by indexing."""
+    if isinstance(rows, Tensor) and rows.ndim == 1 and rows.dtype in (torch.bool, torch.int64):
+        n = len(next(iter(columns.values())))
+        places = rows.nonzero()[:, 0] if rows.dtype == torch.bool else torch.where(rows < 0, rows + n, rows)
+        return {name: column.index_select(0, places.to(column.device)) for name, column in columns.items()}
+    return {name: column[rows] for name, column in columns.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,8 +226,7 @@ class Seeds:
         return self.xyz_W.shape[0]
 
     def __getitem__(self, rows) -> "Seeds":
-        rows = _places(rows)
-        return Seeds(**{f.name: getattr(self, f.name)[rows] for f in dataclasses.fields(self)})
+        return Seeds(**_taken(vars(self), rows))
 
     @staticmethod
     def isotropic(
@@ -308,8 +311,7 @@ class GaussianParams:
         return self.xyz_W.shape[0]
 
     def __getitem__(self, rows) -> "GaussianParams":
-        rows = _places(rows)
-        return GaussianParams(**{f.name: getattr(self, f.name)[rows] for f in dataclasses.fields(self)})
+        return GaussianParams(**_taken(vars(self), rows))
 
     @property
     def sh_degree(self) -> int:

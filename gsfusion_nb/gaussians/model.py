@@ -34,6 +34,8 @@ class GaussianModel(GrowingRows):
     """Prefixes of the columns that hold centres and orientations, which move when a loop is closed."""
     TAG_MEANING = "quadtree level"
     """Meaning of ``tag``."""
+    rows: None = None
+    """A model is all rows of its map (``gsfusion_nb.optim.PartOfMap`` has some)."""
 
     def __init__(self, sh_degree: int = 3, device: torch.device | str = "cpu"):
         if sh_degree not in (0, 1, 2, 3):
@@ -212,6 +214,9 @@ class GaussianModel(GrowingRows):
         turn_colours_(self.params.sh, R)
         if self._MOMENTS:
             turn_moments_(self.exp_avg, self.exp_avg_sq, R)
+
+    def write_back(self) -> None:
+        """Nothing: a step on the whole map changes it in place."""
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue later, as tensors and numbers."""

@@ -196,17 +196,25 @@ def count_errors(
         counter += wrong & model.is_stable
 
 
-def count_views(model: SurfelModel, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> None:
+def count_views(
+    model: SurfelModel, camera: Camera, T_WC: Float[Tensor, "4 4"], rows: Int[Tensor, " R"] | None = None
+) -> None:
     """Add 1 to ``frames_in_view`` of every row whose centre is in front of the camera and in the image, even if hidden.
 
     Args:
         model: The map; its counter changes.
         camera: Intrinsics and size.
         T_WC: Camera-to-world pose.
+        rows: Rows that may be in the image; all by default. [R]
     """
-    xyz_C = se3.apply(se3.inverse(T_WC), model.params.xyz_W)
+    xyz_W = model.params.xyz_W if rows is None else model.params.xyz_W[rows]
+    xyz_C = se3.apply(se3.inverse(T_WC), xyz_W)
     u, v = project(camera, xyz_C).unbind(-1)
-    model.frames_in_view.add_((xyz_C[:, 2] > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height))
+    seen = (xyz_C[:, 2] > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+    if rows is None:
+        model.frames_in_view.add_(seen)
+    else:
+        model.frames_in_view.index_add_(0, rows, seen.to(model.frames_in_view.dtype))
 
 
 def change_states(model: SurfelModel, config: StateConfig) -> Transitions:

@@ -250,10 +250,11 @@ class GPSSLAM(TsdfMapping):
     def _optimise_view(self, view: BasedView) -> ViewStep:
         """One gradient step on one view. Returns loss and MSE before it; the surface is held fixed."""
         self.guard.may_stop()
-        keyframe, below, params = view.keyframe, view.below, self.gaussians.params
+        keyframe, below = view.keyframe, view.below
         camera, T_WC, target = keyframe.camera, keyframe.T_WC, keyframe.rgb
-        watched = self.after_steps.watch(self.gaussians, keyframe)
-        output, saved = render_over_base(params, camera, T_WC, below.base, behind_m=below.behind_m)
+        part = self.part_in_view(keyframe)
+        watched = self.after_steps.watch(self.gaussians, keyframe, len(part.params))
+        output, saved = render_over_base(part.params, camera, T_WC, below.base, behind_m=below.behind_m)
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
         pixels = of_pixels(output.rgb, target)
         loss, v_rgb = pixels.value, pixels.v_rgb
@@ -261,6 +262,7 @@ class GPSSLAM(TsdfMapping):
             given = self.training.view_loss(output.as_render_output(below.base), keyframe, with_depth=False)
             loss, v_rgb = given.value, given.v_rgb
         gradients = render_over_base_vjp(saved, v_rgb, **watched.outputs)
-        adam_step(self.gaussians, gradients, self.config.residual.adam, self.training.optimiser)
-        self.after_steps.finish(self, watched, keyframe, loss, output.rgb)
+        adam_step(part, gradients, self.config.residual.adam, self.training.optimiser)
+        part.write_back()
+        self.after_steps.finish(self, watched, keyframe, loss, output.rgb, part.rows)
         return loss, pixels.mse

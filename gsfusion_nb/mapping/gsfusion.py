@@ -147,19 +147,21 @@ class GSFusion(TsdfMapping):
         view, optim = view.to(self.device), self.config.optim
         fit = self.fits if fits else None
         keyframe: Any = view  # where poses and exposures are fitted
-        watched = self.after_steps.watch(self.gaussians, view)
-        output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC, with_indices=False)
+        part = self.part_in_view(view)
+        watched = self.after_steps.watch(self.gaussians, view, len(part.params))
+        output, saved = render_forward(part.params, view.camera, view.T_WC, with_indices=False)
         shown = output if fit is None else fit.expose(self.keyframes, keyframe, output)
         found, mse = self._loss(shown, view, ssim_weight)
         v_rgb = found.v_rgb if fit is None else fit.expose_vjp(output, found.v_rgb)
         gradients = render_vjp(saved, v_rgb, found.v_depth_m, **watched.outputs)
         loss, penalties = found.value, self._penalties
         if penalties:
-            loss = loss + add_penalties_(gradients, self.gaussians.params, **penalties)
-        adam_step(self.gaussians, gradients, optim, self.training.optimiser)
+            loss = loss + add_penalties_(gradients, part.params, **penalties)
+        adam_step(part, gradients, optim, self.training.optimiser)
+        part.write_back()
         if fit is not None:
             fit.move(self.keyframes, keyframe, shown)
-        self.after_steps.finish(self, watched, view, loss, output.rgb)
+        self.after_steps.finish(self, watched, view, loss, output.rgb, part.rows)
         return loss, mse
 
     @property

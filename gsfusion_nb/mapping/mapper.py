@@ -20,8 +20,8 @@ from ..backends import runs_learners_code
 from ..checks import shown
 from ..config import SystemConfig, from_dict, to_dict
 from ..gaussians import GaussianModel
-from ..optim import KeyframeList, UpdateFunction, fit_pose
-from ..render import render
+from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose
+from ..render import Boxes, drawn_in_part, render
 from ..seeding import (
     Cells,
     SeedContext,
@@ -125,6 +125,8 @@ class Mapper(ABC):
         self.after_steps = AfterSteps(self.rule_in_use)
         self.device = torch.device(device)
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
+        self.boxes = Boxes()
+        """Of the rows of ``gaussians``, to find those that a view may show."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
         self.random = RandomStreams(self.config.seed)
         self.localiser = Localiser(self.config.tracking)
@@ -233,7 +235,17 @@ class Mapper(ABC):
 
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """The Gaussian map seen by a camera."""
-        return self.render_gaussians(self.gaussians.params, camera, T_WC.to(self.device), self.config)
+        T_WC = T_WC.to(self.device)
+        return drawn_in_part(
+            lambda params: self.render_gaussians(params, camera, T_WC, self.config),
+            self.gaussians.params, self.boxes, camera, T_WC,
+        )  # fmt: skip
+
+    def part_in_view(self, view: Frame | Keyframe) -> "GaussianModel | PartOfMap":
+        """What a gradient step on this view changes: of a large map only the rows that the view may show."""
+        depth_m = view.farthest_m if isinstance(view, Keyframe) else view.depth_m
+        rows = self.boxes.rows(self.gaussians.params, view.camera, view.T_WC, depth_m)
+        return self.gaussians if rows is None else PartOfMap(self.gaussians, rows, self.boxes)
 
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
         """Optimise over the keyframes after the scan: each pass visits all of them once in a new random order.
@@ -321,6 +333,7 @@ class Mapper(ABC):
         return SeedContext(
             frame,
             gaussians=self.gaussians,
+            boxes=self.boxes,
             generator=self.random.rule,
             config=self.config.seeding,
             memory=self.memory,

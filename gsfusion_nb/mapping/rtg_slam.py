@@ -15,7 +15,7 @@ from ..config import RtgSlamConfig, TsdfConfig, rtg_slam, rtg_slam_fidelity
 from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import depth_to_points, se3
 from ..optim import Keyframe, TrainingView, fuse_with_history
-from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m, view_surface
+from ..render import SurfaceView, drawn_in_part, render_forward, rows_in_view, surface_depth_m, view_surface
 from ..seeding import SeedContext
 from ..tracking import Correction
 from ..tsdf import TsdfVolume, extract_mesh, integrate
@@ -226,7 +226,11 @@ class RTGSLAM(Mapper):
         """Rows that any of the views may show."""
         params, seen = self.gaussians.params, torch.zeros_like(self.gaussians.is_stable)
         for view in views:
-            seen |= rows_in_view(params, view.camera, view.T_WC)
+            part = self.boxes.rows(params, view.camera, view.T_WC, view.depth_m)
+            if part is None:
+                seen |= rows_in_view(params, view.camera, view.T_WC)
+            else:
+                seen[part] |= rows_in_view(params[part], view.camera, view.T_WC)
         return seen
 
     def _worst_pixels(self, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
@@ -281,7 +285,8 @@ class RTGSLAM(Mapper):
 
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
         """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""
-        count_views(self.gaussians, frame.camera, frame.T_WC)
+        part = self.boxes.rows(self.gaussians.params, frame.camera, frame.T_WC)
+        count_views(self.gaussians, frame.camera, frame.T_WC, part)
         view = self.surface(frame.camera, frame.T_WC)
         known = frame.depth_m > 0
         colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known
@@ -293,7 +298,11 @@ class RTGSLAM(Mapper):
 
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfaceView:
         """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5)."""
-        return view_surface(self.gaussians.params, camera, T_WC.to(self.device), self.config.discs)
+        T_WC = T_WC.to(self.device)
+        return drawn_in_part(
+            lambda params: view_surface(params, camera, T_WC, self.config.discs),
+            self.gaussians.params, self.boxes, camera, T_WC,
+        )  # fmt: skip
 
     @classmethod
     def render_gaussians(

@@ -309,9 +309,10 @@ class AfterSteps:
         view: Frame | Keyframe,
         loss: Float[Tensor, ""],
         rgb: Float[Tensor, "H W 3"],
+        rows: Int[Tensor, " R"] | None = None,
     ) -> None:
-        """``add_up`` of a step on all rows, then ``edit``; arguments as for these."""
-        self.edit(mapper, self.add_up(mapper.gaussians, step, view.camera), view, loss, rgb)
+        """``add_up`` of a step, then ``edit``; arguments as for these."""
+        self.edit(mapper, self.add_up(mapper.gaussians, step, view.camera, rows), view, loss, rgb)
 
     def edit(
         self,

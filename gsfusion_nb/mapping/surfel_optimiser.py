@@ -13,7 +13,7 @@ from torch import Tensor
 from ..config import DiscConfig, WindowConfig
 from ..gaussians import SurfelModel
 from ..optim import RgbdLoss, RowAdam, TrainingView, rgbd_l1_vjp
-from ..render import blended_depth_m, disc_depth, disc_depth_vjp, render_forward, render_vjp
+from ..render import Boxes, blended_depth_m, disc_depth, disc_depth_vjp, render_forward, render_vjp
 from ..types import Camera, GaussianParams, RenderOutput
 from .training import Training
 
@@ -91,6 +91,7 @@ class SurfelOptimiser:
         self.adam = RowAdam(self.trained, rates, factors, update=self.training.optimiser)
         self.picture: Tensor | None = None
         """The picture [H, W, 3] before the last step."""
+        self._boxes = Boxes()
         self._is_trained = torch.arange(len(self.params), device=trained.device) < self.n
         self._anchored = (self.trained.opacity_logit < 0).nonzero().squeeze(1)
         born = model.anchor
@@ -105,13 +106,19 @@ class SurfelOptimiser:
     def step(self, view: TrainingView, outputs: Mapping[str, Tensor | None] = MappingProxyType({})) -> RgbdLoss:
         """One gradient step on one view. Returns the loss before it; the picture before it is ``picture`` then.
 
+        Of many rows only those are drawn and changed that the view may show.
+
         Args:
             view: What to compare with.
             outputs: ``v_uv`` and ``v_uv_abs`` of ``render_vjp``, to be filled for the ``drawn`` rows. [R, 2]
         """
-        discs = self.discs
+        discs, params, is_trained = self.discs, self.params, self._is_trained
+        whole = any(wanted is not None for wanted in outputs.values())
+        part = None if whole else self._boxes.rows(params, view.camera, view.T_WC, view.depth_m)
+        if part is not None:
+            params, is_trained = params[part], is_trained[part]
         output, saved = render_forward(
-            self.params,
+            params,
             view.camera,
             view.T_WC,
             with_indices=False,
@@ -122,22 +129,24 @@ class SurfelOptimiser:
         assert hit is not None
         options = {"max_offset": discs.max_offset, "min_cosine": discs.min_cosine}
         if discs.depth == "disc":
-            depth_m = disc_depth(self.params, view.camera, view.T_WC, hit, **options).depth_m
+            depth_m = disc_depth(params, view.camera, view.T_WC, hit, **options).depth_m
         else:
             depth_m = blended_depth_m(output)
         loss = self._loss(dataclasses.replace(output, depth_m=depth_m), view)
         if discs.depth == "disc":
-            g = render_vjp(saved, loss.v_rgb, rows=self._is_trained, **outputs)
+            g = render_vjp(saved, loss.v_rgb, rows=is_trained, **outputs)
             v_xyz, v_quat = disc_depth_vjp(
-                self.params, view.camera, view.T_WC, hit, loss.v_depth_m, rows=self._is_trained, **options
+                params, view.camera, view.T_WC, hit, loss.v_depth_m, rows=is_trained, **options
             )
             g = dataclasses.replace(g, xyz_W=g.xyz_W + v_xyz, quat=g.quat + v_quat)
         else:  # of D / A: v_D = v / A,  v_A = -v D / A^2
             v_D = loss.v_depth_m / output.alpha.clamp_min(1e-6)
-            g = render_vjp(saved, loss.v_rgb, v_D, -v_D * depth_m, rows=self._is_trained, **outputs)
-        self._add_regulariser(g)
-        self.steps_seen += (g.sh[: self.n, 0] != 0).any(dim=1)
-        self.adam.step(g)
+            g = render_vjp(saved, loss.v_rgb, v_D, -v_D * depth_m, rows=is_trained, **outputs)
+        stepped = None if part is None else part[is_trained]
+        self._add_regulariser(g, stepped)
+        n = self.n if stepped is None else len(stepped)
+        self.steps_seen[slice(None) if stepped is None else stepped] += (g.sh[:n, 0] != 0).any(dim=1)
+        self.adam.step(g, stepped)
         self.picture = output.rgb
         return loss
 
@@ -182,11 +191,20 @@ class SurfelOptimiser:
         for name, mine in self._anchor.items():
             mine.copy_(state["anchor"][name])
 
-    def _add_regulariser(self, g: GaussianParams) -> None:
-        """Add the gradient of w_reg times the mean squared distance of transparent rows to their anchors."""
+    def _add_regulariser(self, g: GaussianParams, stepped: Int[Tensor, " R"] | None) -> None:
+        """Add the gradient of w_reg times the mean squared distance of transparent rows to their anchors.
+
+        Args:
+            g: The gradient of the trained rows, or of those that are ``stepped``.
+            stepped: Rows of ``trained``, rising; None: all. [R]
+        """
         if not len(self._anchored):
             return
+        rows, which = self._anchored, slice(None)
+        if stepped is not None:
+            which = torch.isin(rows, stepped, assume_unique=True)
+            rows = torch.searchsorted(stepped, rows[which])
         for name in _GEOMETRY:
-            away = getattr(self.trained, name)[self._anchored] - self._anchor[name]
+            away = getattr(self.trained, name)[self._anchored[which]] - self._anchor[name][which]
             n = self._n_anchored * away.shape[1]
-            getattr(g, name)[self._anchored] += 2 * WEIGHT_REGULARISER / n * away
+            getattr(g, name)[rows] += 2 * WEIGHT_REGULARISER / n * away

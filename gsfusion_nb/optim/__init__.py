@@ -1,6 +1,7 @@
 """Losses, the optimiser of a growing map, keyframes."""
 
 from .adam import ColumnRates as ColumnRates
+from .adam import PartOfMap as PartOfMap
 from .adam import RowAdam as RowAdam
 from .adam import UpdateFunction as UpdateFunction
 from .adam import adam_step as adam_step

@@ -14,6 +14,7 @@ from ..checks import check_number
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
 from ..geometry.operands import INTEGERS, check_gaussians, check_operand
+from ..render import Boxes
 from ..types import GaussianParams
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
@@ -81,7 +82,8 @@ def adam_update(
         beta2: Decay of v.
         eps: Keeps the division finite where v = 0.
 
-    Rows that no pixel sees have zero gradient, but their momentum still moves them, as in the released GSFusion.
+    Rows that no pixel sees have zero gradient, but their momentum still moves them, as in the released GSFusion. In a
+    large map those that the view cannot show are left out (``PartOfMap``).
 
     Source: Kingma & Ba 2015, algorithm 1.
     """
@@ -176,9 +178,39 @@ def adam_update_map(
         adam_update(p, g, m, v, steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
 
 
+class PartOfMap:
+    """Copies of some rows of a map and of their moments, for ``adam_step``; ``write_back`` puts them into the map.
+
+    The rows that are left out keep their values and their moments. A step on the whole map would move them by what is
+    left of their momentum.
+
+    Args:
+        model: The map.
+        rows: Some of its rows, each once. [R]
+        boxes: Those of the map, from which the rows are.
+    """
+
+    def __init__(self, model: GaussianModel, rows: Int[Tensor, " R"], boxes: Boxes):
+        self.model, self.rows, self._boxes = model, rows, boxes
+        self.params, self.exp_avg, self.exp_avg_sq = (x[rows] for x in (model.params, model.exp_avg, model.exp_avg_sq))
+        self.birth_step, self.step_count = model.birth_step[rows], model.step_count
+        self.rates = {name: factors[rows] for name, factors in model.rates.items()}
+
+    def write_back(self) -> None:
+        """Copy parameters, moments and the number of steps to the map."""
+        for name in ("params", "exp_avg", "exp_avg_sq"):
+            for column, values in vars(getattr(self, name)).items():
+                getattr(getattr(self.model, name), column).index_copy_(0, self.rows, values)
+        self.model.step_count = self.step_count
+        self._boxes.renew(self.model.params, self.rows, self.params)
+
+
 @observed
 def adam_step(
-    model: GaussianModel, gradients: GaussianParams, config: OptimConfig, update: UpdateFunction | None = None
+    model: GaussianModel | PartOfMap,
+    gradients: GaussianParams,
+    config: OptimConfig,
+    update: UpdateFunction | None = None,
 ) -> None:
     """Update every parameter of the map once, each group at its own constant learning rate.
 
@@ -194,7 +226,7 @@ def adam_step(
     Where the map has factors of learning rates (``model.rates``), each row takes its own part of the step.
 
     Args:
-        model: The map, changed in place.
+        model: The map, or a part of it, changed in place.
         gradients: dL/d of its parameters.
         config: Learning rates and decays.
         update: Takes the step of each column instead of ``adam_update``.
@@ -289,19 +321,33 @@ class RowAdam:
         } | {"sh": sh_rates.expand(-1, 3)}
         self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
 
-    def step(self, gradients: GaussianParams) -> None:
-        """Update once. Rows of ``gradients`` beyond those of ``params`` are ignored."""
+    def step(self, gradients: GaussianParams, rows: Int[Tensor, " R"] | None = None) -> None:
+        """Update once.
+
+        Args:
+            gradients: Of ``params``, or of their ``rows``; further rows of it are ignored.
+            rows: Update only these, each once; the others keep their values and moments. None: all. [R]
+        """
         self.steps += 1
-        n = len(self.params)
-        with at_row_rates(self.params, self._factors):
+        params = self.params if rows is None else self.params[rows]
+        factors = self._factors if rows is None else {name: f[rows] for name, f in self._factors.items()}
+        n = len(params)
+        with at_row_rates(params, factors):
             for name, lr in self._rates.items():
-                m, v = self._moments[name]
-                param, gradient = getattr(self.params, name), getattr(gradients, name)[:n]
+                moments = self._moments[name]
+                m, v = moments if rows is None else (moment[rows] for moment in moments)
+                param, gradient = getattr(params, name), getattr(gradients, name)[:n]
                 if self._update is None:
                     adam_update(param, gradient, m, v, self.steps, lr=lr, beta1=BETA1, beta2=BETA2, eps=EPS)
                 else:
                     ages = torch.full((n,), self.steps, device=param.device)
                     take_step(self._update, name, param, gradient, m, v, ages, lr)
+                if rows is not None:
+                    for whole, part in zip(moments, (m, v), strict=True):
+                        whole.index_copy_(0, rows, part)
+        if rows is not None:
+            for name in self._rates:
+                getattr(self.params, name).index_copy_(0, rows, getattr(params, name))
 
     def take_over(self, earlier: "RowAdam", before: Int[Tensor, " N"]) -> None:
         """Continue with the moments and the step count of other rows; ``before`` is the row there of each, or -1."""

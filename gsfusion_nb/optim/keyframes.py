@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from ..backends import piece
+from ..render import farthest_depth
 from ..types import Camera, Frame, rgb_of_bytes
 
 IN_MEMORY_BYTES = 1 << 30
@@ -31,6 +32,8 @@ class Keyframe:
     """z-depth, metres; None if the mapper has no depth loss."""
     gain: Float[Tensor, " 3"] | None = None
     """Exposure: the factor of each colour between the map's picture and this one; None is 1."""
+    farthest_m: Float[Tensor, "12 16"] | None = None
+    """Largest depth in parts of the image (``gsfusion_nb.render.farthest_depth``)."""
 
     @classmethod
     def of(cls, frame: Frame, *, with_depth: bool = False) -> "Keyframe":
@@ -41,6 +44,7 @@ class Keyframe:
             camera=frame.camera,
             T_WC=frame.T_WC,
             depth_m=frame.depth_m if with_depth else None,
+            farthest_m=farthest_depth(frame.depth_m),
         )
 
     @property

@@ -2,8 +2,9 @@
 
 import functools
 import time
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
@@ -11,7 +12,16 @@ from torch import Tensor
 
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
 from ..geometry import backproject, depth_to_normals, pixel_grid, quaternion, se3
-from ..render import BaseView, OverBaseOutput, SurfaceView, render, render_over_base, view_surface
+from ..render import (
+    BaseView,
+    Boxes,
+    OverBaseOutput,
+    SurfaceView,
+    drawn_in_part,
+    render,
+    render_over_base,
+    view_surface,
+)
 from ..tsdf import RaycastOutput, TsdfVolume, raycast
 from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
 from .image_features import (
@@ -27,6 +37,8 @@ from .image_features import (
 )
 from .points import MapView, Neighbours, k_nearest, nearest_others, view_map, voxel_keys
 from .quadtree import Cells, cell_gaussians, quadtree
+
+V = TypeVar("V")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +78,8 @@ class SeedContext:
     below: BaseView | None = None
     """The surface as the frame's camera sees it, before this frame is fused, in a mapper whose picture is the surface
     with Gaussians over it (GPS-SLAM); else None."""
+    boxes: Boxes | None = None
+    """Of the map, to draw only the part that the camera may see."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
@@ -240,7 +254,7 @@ class SeedContext:
         def draw() -> RenderOutput:
             if self.below is not None:
                 return self.over_base().as_render_output(self.below.base)
-            return render(params, self.camera, self.frame.T_WC)
+            return self._drawn(lambda shown: render(shown, self.camera, self.frame.T_WC), params)
 
         return self._once("render", draw)
 
@@ -252,7 +266,9 @@ class SeedContext:
 
         def draw() -> OverBaseOutput:
             view = self.camera, self.frame.T_WC
-            return render_over_base(params, *view, below.base, behind_m=below.behind_m)[0]
+            return self._drawn(
+                lambda shown: render_over_base(shown, *view, below.base, behind_m=below.behind_m)[0], params
+            )
 
         return self._once("over_base", draw)
 
@@ -265,11 +281,10 @@ class SeedContext:
         """
         params = self._need_gaussians("surface()")
 
-        def draw() -> SurfaceView:
-            shown = params if rows is None else params[rows]
+        def draw(shown: GaussianParams) -> SurfaceView:
             return view_surface(shown, self.camera, self.frame.T_WC, self.discs)
 
-        return draw() if rows is not None else self._once("surface", draw)
+        return draw(params[rows]) if rows is not None else self._once("surface", lambda: self._drawn(draw, params))
 
     def grey(self) -> Float[Tensor, "H W"]:
         """Brightness of the picture, 0..1: 0.2989 R + 0.587 G + 0.114 B. [H, W]"""
@@ -422,6 +437,9 @@ class SeedContext:
                 "(or its option coverage=False) that needs none"
             )
         return self.volume
+
+    def _drawn(self, draw: Callable[[GaussianParams], V], params: GaussianParams) -> V:
+        return drawn_in_part(draw, params, self.boxes, self.camera, self.frame.T_WC)
 
     def _need_gaussians(self, what: str) -> GaussianParams:
         if self.gaussians is None:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb.compare.bench import BenchOptions, run
-from gsfusion_nb.compare.bench.run import SECTIONS, STAGES, BenchRow
+from gsfusion_nb.compare.bench.run import STAGES, BenchRow
 from gsfusion_nb.compare.bench.scene import random_scene
 from gsfusion_nb.compare.bench.timing import Lap, summary
 from gsfusion_nb.geometry import project, se3
@@ -34,7 +34,7 @@ def test_all_sections(small, tmp_path, capsys):
     assert {line.count("|") for line in tables} == {9}
     numbers = json.loads(path.read_text())
     assert (numbers["interrupted"], numbers["machine"]["threads"]) == (False, 1)
-    rows = {name: [row for row in numbers["rows"] if row["section"] == name] for name in SECTIONS}
+    rows = {name: [row for row in numbers["rows"] if row["section"] == name] for name in options.sections}
     assert all(rows.values())
     assert "numba" in {row["method"] for row in rows["raster"]}
     for row in rows["raster"]:
@@ -44,6 +44,18 @@ def test_all_sections(small, tmp_path, capsys):
     assert any(row["case"].endswith(" / raycast") for row in rows["tsdf"])
     stages = [row["case"].partition(" / ")[2] for row in rows["map"]]
     assert stages[: 1 + len(STAGES)] == ["", *STAGES.values()]
+
+
+@pytest.mark.ci
+def test_growth(tmp_path, capsys):
+    path = tmp_path / "bench.json"
+    assert run.main(BenchOptions(what="growth", quick=True, size=("64x48",), json=str(path))) == 0
+    rows = json.loads(path.read_text())["rows"]
+    assert [row["method"] for row in rows] == [name for name in run.SYSTEMS for _ in range(3)]
+    for name in run.SYSTEMS:
+        sizes = [row["values"]["n_gaussians"] for row in rows if row["method"] == name]
+        assert sizes == sorted(sizes)
+    assert capsys.readouterr().out.count("exponent") == len(run.SYSTEMS)
 
 
 def test_ctrl_c_keeps_what_was_measured(monkeypatch, tmp_path, capsys):

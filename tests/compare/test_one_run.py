@@ -67,9 +67,8 @@ def test_a_rule_without_seeds_has_fewer_steps_and_says_so(spec):
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_the_first_run_of_a_process_maps(spec, system, monkeypatch):
     monkeypatch.setattr(map_scene, "_warm", set())
-    result = run_spec(
-        RunSpec(rule=system, scene="wall", data=spec().data, system=system, settings={"data.stop": 3}, budget=Budget(steps="own"))
-    )
+    given = {"data": spec().data, "settings": {"data.stop": 3}, "budget": Budget(steps="own")}
+    result = run_spec(RunSpec(rule=system, scene="wall", system=system, **given))
     assert (result.status, result.reason) == ("done", "")
 
 

@@ -74,7 +74,7 @@ class Watched(SurfelOptimiser):
         super().__init__(*args, **options)
         self.adam.step = self._keep  # pyright: ignore[reportAttributeAccessIssue]
 
-    def _keep(self, gradients: GaussianParams) -> None:
+    def _keep(self, gradients: GaussianParams, rows: torch.Tensor | None = None) -> None:
         self.gradients = gradients
 
 

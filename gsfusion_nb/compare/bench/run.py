@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import importlib
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import torch
 import tyro
 from torch import Tensor
@@ -18,16 +20,16 @@ from torch import Tensor
 from ... import backends, seeding  # noqa: F401  (importing the rooms declares their operations)
 from ...backends import use_backend
 from ...checks import check_name, check_whole
-from ...config import DataConfig, TsdfConfig, gsfusion
+from ...config import DataConfig, TsdfConfig, gsfusion, replace
 from ...data import OpenedSequence, open_sequence
 from ...evaluation.image import psnr
 from ...files import write_file
 from ...geometry import se3
-from ...mapping import GSFusion
+from ...mapping import SYSTEMS, GSFusion
 from ...render import render_forward, render_vjp
 from ...render.constants import NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ...tsdf import TsdfVolume, integrate, raycast
-from ...types import GaussianParams
+from ...types import Frame, GaussianParams
 from ...work import PeakMemory, ProgressDisplay
 from .scene import RandomScene, random_scene
 from .timing import Timing, describe, header, lap, measure, summary, threads
@@ -45,7 +47,8 @@ class BenchOptions:
     """Measure the speed of the toolkit on this machine and print a table."""
 
     what: Annotated[str, tyro.conf.Positional] = "all"
-    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper) or all."""
+    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), all of these, or growth (the
+    three systems in a building of 16 rooms, some minutes)."""
     data: str = "room"
     """Folder of the sequence used by tsdf and map, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
@@ -66,7 +69,7 @@ class BenchOptions:
     @property
     def sections(self) -> tuple[str, ...]:
         """Sections to run, in order."""
-        return tuple(SECTIONS) if self.what == "all" else (self.what,)
+        return tuple(name for name in SECTIONS if name != "growth") if self.what == "all" else (self.what,)
 
     @property
     def n_frames(self) -> int:
@@ -294,10 +297,54 @@ def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[B
         yield BenchRow(section="map", case=f"{case} / {name}", method=method, timing=each, note=share)
 
 
+ROOMS, ROOM_SIZE, ROOM_FRAMES = 16, (160, 120), 20
+"""Rooms of the building of ``growth``; size and number of the images of each."""
+ROOM_DISTANCE_M, ROOM_TIME_S = 10.0, 60.0
+_GROWTH_VOXEL_M = 0.04
+
+
+def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
+    """A square building of equal rooms through which the camera walks, room by room: the mean time of a frame in each.
+
+    The last note of a system has the exponent b of  time = a rooms^b  by least squares, without the first room, in
+    which kernels are loaded. It is 0 if the size of the map does not matter.
+    """
+    n_rooms, n_frames = (3, 3) if options.quick else (ROOMS, ROOM_FRAMES)
+    size, side = options.sizes[0] if options.size else ROOM_SIZE, math.ceil(math.sqrt(n_rooms))
+    opened = open_frames(dataclasses.replace(options, frames=options.frames or n_frames), size)
+    frames = [opened[i] for i in range(len(opened))]
+    for name, system in SYSTEMS.items():
+        config, times_ms = system.preset("room"), list[float]()
+        mapper = system(replace(config, tsdf__voxel_size_m=_GROWTH_VOXEL_M) if hasattr(config, "tsdf") else config)
+        for room in range(n_rooms):
+            took = lap(lambda m=mapper, r=room: [m.step(_in_room(frame, r, side)) for frame in frames])
+            wall_ms, cpu_ms = (1e3 * seconds / len(frames) for seconds in (took.wall_s, took.cpu_s))
+            times_ms.append(wall_ms)
+            n, note = len(mapper.gaussians), f"{len(mapper.gaussians) / 1e3:.1f}k"
+            if room == n_rooms - 1:
+                b = np.polyfit(np.log(np.arange(2, n_rooms + 1)), np.log(times_ms[1:]), 1)[0]
+                note += f", exponent {b:.2f}"
+            timing = Timing(wall_ms=wall_ms, cpu_ms=cpu_ms, runs=len(frames), peak_mb=None)
+            case = f"{_case_name(opened)}, room {room + 1}"
+            yield BenchRow(
+                section="growth", case=case, method=name, timing=timing, note=note, values={"n_gaussians": n}
+            )
+
+
+def _in_room(frame: Frame, room: int, side: int) -> Frame:
+    """The frame as it would be taken in another room of a building with ``side`` rooms in a row."""
+    T_WC = frame.T_WC.clone()
+    T_WC[:2, 3] += ROOM_DISTANCE_M * torch.tensor([room % side, room // side])
+    return dataclasses.replace(
+        frame, T_WC=T_WC, index=1000 * room + frame.index, timestamp_s=ROOM_TIME_S * room + frame.timestamp_s
+    )
+
+
 SECTIONS: dict[str, tuple[str, Callable[[BenchOptions], Iterator[BenchRow]]]] = {
     "raster": ("Gaussian rasteriser", raster_rows),
     "tsdf": ("integration with colour, truncation 4 voxels; raycasts", tsdf_rows),
     "map": ("GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians", map_rows),
+    "growth": ("a building, room by room, means over the frames; note: number of Gaussians", growth_rows),
 }
 _HEADINGS = ("case", "method", "wall ms", "CPU ms", "GPU ms", "MB", "runs", "note")
 

@@ -1,0 +1,216 @@
+"""The part of a large map that a camera may see, found without a look at every Gaussian.
+
+Rows that were added together are close together, in memory and in space. Around each chunk of ``CHUNK`` rows there is a
+box, and a chunk whose box cannot reach the picture is left out. What is left is drawn in the same order, so the picture
+has the same bits. Chunks that are hidden behind the measured depth of a view can be left out, too: then a room does not
+cost what is in the rooms behind its walls. Their share of the picture is the light that the walls let through.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d, adaptive_max_pool2d
+
+from ..types import Camera, GaussianParams
+from .constants import ALPHA_MIN, FRUSTUM_CLAMP, SCREEN_BLUR_PX2
+
+CHUNK = 256
+"""Rows in a box."""
+
+WHOLE_BELOW = 50_000
+"""A map with fewer rows is drawn, and stepped, as a whole, as it is published."""
+
+GRID = (12, 16)
+"""Rows and columns of the cells of a view in which depth is compared."""
+
+BEHIND_M = 0.5
+"""Gaussians less far behind the measured depth are drawn, metres: depth and centres have errors."""
+
+_REACH = math.sqrt(2 * math.log(1 / ALPHA_MIN))
+"""An opaque Gaussian is above 1/255 up to this many standard deviations."""
+
+_MORE = 1.001
+"""For rounding."""
+
+View = TypeVar("View")
+
+
+class Boxes:
+    """Boxes around the chunks of a map, on the CPU, which are made anew when its tensors have changed.
+
+    PyTorch does not notice a kernel that changes a tensor through its memory, so parts are stepped on copies.
+    """
+
+    def __init__(self) -> None:
+        self._of: tuple[int, ...] = ()
+        self._low = self._high = np.zeros((0, 3))
+        self._reach_m = np.zeros(0)
+
+    def rows(
+        self,
+        params: GaussianParams,
+        camera: Camera,
+        T_WC: Float[Tensor, "4 4"],
+        depth_m: Float[Tensor, "h w"] | None = None,
+    ) -> Int[Tensor, " R"] | None:
+        """Rows of the chunks that a camera may see, rising; None: all rows, because there are few, or all are seen.
+
+        Args:
+            params: The map.
+            camera, T_WC: as given to ``render``.
+            depth_m: Measured depth of the view, of any size, 0 where missing; chunks behind it are left out. [h, w]
+        """
+        n = len(params)
+        if n < WHOLE_BELOW:
+            return None
+        if self._of != _state(params):
+            self._low, self._high, self._reach_m = _boxes_of(params)
+            self._of = _state(params)
+        boxes, T_CW = (self._low, self._high, self._reach_m), np.linalg.inv(T_WC.detach().cpu().double().numpy())
+        chunks = boxes_in_view(*boxes, camera, T_CW).nonzero()[0]
+        if depth_m is not None:
+            low, high, reach_m = (x[chunks] for x in boxes)
+            chunks = chunks[~boxes_behind(low, high, reach_m, camera, T_CW, farthest_depth(depth_m).cpu().numpy())]
+        if len(chunks) == len(self._low):
+            return None
+        rows = (CHUNK * chunks[:, None] + np.arange(CHUNK)).ravel()
+        return torch.from_numpy(rows[rows < n]).to(params.xyz_W.device)
+
+    def renew(self, params: GaussianParams, rows: Int[Tensor, " R"], part: GaussianParams) -> None:
+        """Follow a change of only these ``rows``, which were all in the last result; ``part``: their new values."""
+        chunks = rows[::CHUNK].cpu().numpy() // CHUNK
+        self._low[chunks], self._high[chunks], self._reach_m[chunks] = _boxes_of(part)
+        self._of = _state(params)
+
+
+def _state(params: GaussianParams) -> tuple[int, ...]:
+    """Another one when centres or sizes have changed."""
+    columns = params.xyz_W, params.log_scale
+    return (len(params), *(x.data_ptr() for x in columns), *(x._version for x in columns))
+
+
+def _boxes_of(params: GaussianParams) -> tuple[ndarray, ndarray, ndarray]:
+    """Lowest and highest centre of each chunk [C, 3], and how far a Gaussian of it reaches, metres [C]."""
+    ends = [_by_chunk(extreme, params.xyz_W) for extreme in (torch.amin, torch.amax)]
+    reach_m = _REACH * _by_chunk(torch.amax, params.log_scale).amax(1).exp()
+    return ends[0].cpu().numpy(), ends[1].cpu().numpy(), reach_m.cpu().numpy()
+
+
+def _by_chunk(extreme: Callable[[Tensor, int], Tensor], x: Float[Tensor, "N 3"]) -> Float[Tensor, "C 3"]:
+    """Smallest or largest value in each chunk; NaN where a row has one. Twice over 16 is faster than over 256."""
+    n = len(x) // CHUNK * CHUNK
+    whole = extreme(extreme(x[:n].view(-1, 16, CHUNK // 16, 3), 1), 1)
+    return whole if n == len(x) else torch.cat([whole, extreme(x[n:], 0)[None]])
+
+
+def boxes_in_view(
+    low: Float[ndarray, "C 3"],
+    high: Float[ndarray, "C 3"],
+    reach_m: Float[ndarray, " C"],
+    camera: Camera,
+    T_CW: Float[ndarray, "4 4"],
+) -> Bool[ndarray, " C"]:
+    """Whether Gaussians with centres in a box may reach the picture.
+
+    A Gaussian touches the picture only if its centre is in front of the camera and, with half the image size h and the
+    focal length f along an axis, and the bound of ``rows_in_view`` on its size,
+
+        |f x / z + c - h| <= h + reach sqrt(0.3) + f sqrt(1 + limit^2) reach_m / z .
+
+    Times z this is linear in the centre, so the corner of the box that lies farthest along a plane decides.
+
+    Args:
+        low, high: Corners of the boxes, world frame, metres; NaN counts as in view. [C, 3]
+        reach_m: Largest distance from its centre at which a Gaussian of the box is above 1/255, metres. [C]
+        camera: as given to ``render``.
+        T_CW: World-to-camera pose.
+    """
+    planes = [(0.0, 0.0, -1.0, 0.0)]  # normal in the camera frame, and factor of reach_m: seen if n . x <= k reach_m
+    for axis, f, c, size in _axes(camera):
+        h, limit = size / 2, FRUSTUM_CLAMP * size / (2 * f)
+        for sign in (1.0, -1.0):
+            n = [0.0, 0.0, sign * (c - h) - h - _MORE * _REACH * math.sqrt(SCREEN_BLUR_PX2)]
+            n[axis] = sign * f
+            planes.append((n[0], n[1], n[2], _MORE * f * math.sqrt(1 + limit**2)))
+    normal, factor = np.array(planes)[:, :3] @ T_CW[:3], np.array(planes)[:, 3:]
+    middle, half = (low + high) / 2, (high - low) / 2
+    nearest = normal[:, :3] @ middle.T + normal[:, 3:] - np.abs(normal[:, :3]) @ half.T  # [5, C]
+    return ~(nearest > factor * reach_m).any(0)
+
+
+def _axes(camera: Camera) -> tuple[tuple[int, float, float, int], tuple[int, float, float, int]]:
+    return (0, camera.fx, camera.cx, camera.width), (1, camera.fy, camera.cy, camera.height)
+
+
+def farthest_depth(depth_m: Float[Tensor, "h w"]) -> Float[Tensor, "12 16"]:
+    """Largest depth in each cell of ``GRID``, infinite where most of it is not known; given such a grid, the same.
+
+    Args:
+        depth_m: z-depth, metres, 0 where missing.
+    """
+    if tuple(depth_m.shape) == GRID:
+        return depth_m
+    known = adaptive_avg_pool2d((depth_m > 0).to(depth_m.dtype)[None], GRID)[0]
+    return torch.where(known > 0.5, adaptive_max_pool2d(depth_m[None], GRID)[0], torch.inf)
+
+
+def boxes_behind(
+    low: Float[ndarray, "C 3"],
+    high: Float[ndarray, "C 3"],
+    reach_m: Float[ndarray, " C"],
+    camera: Camera,
+    T_CW: Float[ndarray, "4 4"],
+    farthest_m: Float[ndarray, "12 16"],
+) -> Bool[ndarray, " C"]:
+    """Whether everything in a box is more than ``BEHIND_M`` behind the depth in all cells that it may touch.
+
+    Args:
+        low, high, reach_m, camera, T_CW: As for ``boxes_in_view``.
+        farthest_m: From ``farthest_depth``.
+    """
+    corners = np.stack([np.where(which, high, low) for which in itertools.product((False, True), repeat=3)], 1)
+    xyz = corners @ T_CW[:3, :3].T + T_CW[:3, 3]  # [C, 8, 3]
+    nearest_m = xyz[..., 2].min(1) - reach_m
+    in_front = nearest_m > 0
+    z, spread = np.where(in_front[:, None], xyz[..., 2], 1.0), reach_m / np.where(in_front, nearest_m, 1.0)
+    touched = np.ones((len(low), *GRID), bool)
+    for axis, f, c, size in _axes(camera):
+        uv, cells = f * xyz[..., axis] / z + c, GRID[1 - axis]
+        more_px = f * (1 + FRUSTUM_CLAMP * size / (2 * f)) * spread + _REACH
+        first, last = (np.floor(edge * cells / size) for edge in (uv.min(1) - more_px, uv.max(1) + more_px))
+        inside = (np.arange(cells) >= first[:, None]) & (np.arange(cells) <= last[:, None])
+        touched &= inside[:, None, :] if axis == 0 else inside[:, :, None]
+    deepest_m = np.where(touched, farthest_m, 0.0).max((1, 2), initial=0.0)
+    return in_front & (nearest_m > deepest_m + BEHIND_M)
+
+
+def drawn_in_part(
+    draw: Callable[[GaussianParams], View],
+    params: GaussianParams,
+    boxes: Boxes | None,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+) -> View:
+    """The result of ``draw``, for which only the part of the map is drawn that the camera may see.
+
+    Args:
+        draw: From Gaussians to a dataclass of images; those whose names end with ``_index`` hold rows, -1: none.
+        params: The map.
+        boxes: Of the map; None draws all of it.
+        camera, T_WC: as given to ``render``.
+    """
+    rows = None if boxes is None else boxes.rows(params, camera, T_WC)
+    if rows is None:
+        return draw(params)
+    view: Any = draw(params[rows])
+    indices = {name: x for name, x in vars(view).items() if name.endswith("_index") and x is not None}
+    of_map = torch.cat([rows, rows.new_tensor([-1])])  # -1 is the last one
+    return dataclasses.replace(view, **{name: of_map[x.long()].to(x.dtype) for name, x in indices.items()})

@@ -1,0 +1,138 @@
+"""Boxes around chunks: nothing that reaches a picture is left out, and boxes follow the map."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
+from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
+from gsfusion_nb.optim import PartOfMap
+from gsfusion_nb.render import Boxes, drawn_in_part, farthest_depth, in_view, render, rows_in_view
+from gsfusion_nb.types import Camera, GaussianParams
+
+CAMERA = Camera(width=64, height=48, fx=50.0, fy=55.0, cx=30.0, cy=27.0)
+
+
+@pytest.fixture(autouse=True)
+def _small_maps_in_chunks(monkeypatch):
+    monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
+
+
+@pytest.fixture
+def cloud(generator):
+    """A walk through 10 x 10 x 3 m, as a mapper adds Gaussians: neighbours are near each other."""
+    n = 20 * in_view.CHUNK + 7
+    at = torch.linspace(0, 6.28, n)
+    middle = 4 * torch.stack([at.cos(), (2 * at).sin(), 0.3 * at.sin()], 1)
+    return GaussianParams(
+        xyz_W=middle + 0.5 * torch.randn(n, 3, generator=generator),
+        log_scale=-3 + 0.7 * torch.randn(n, 3, generator=generator),
+        quat=torch.randn(n, 4, generator=generator),
+        opacity_logit=2 * torch.randn(n, generator=generator),
+        sh=torch.randn(n, 1, 3, generator=generator),
+    )
+
+
+def poses(generator, n):
+    for _ in range(n):
+        xi = torch.randn(6, generator=generator) * torch.tensor([2.0, 2.0, 2.0, 2.0, 2.0, 1.0])
+        yield se3.exp(xi)
+
+
+def chosen(boxes, params, T_WC):
+    rows = boxes.rows(params, CAMERA, T_WC)
+    assert rows is not None
+    return rows
+
+
+def test_the_picture_of_the_part_is_that_of_the_map(cloud, generator):
+    boxes, shares = Boxes(), []
+    for T_WC in poses(generator, 25):
+        rows = chosen(boxes, cloud, T_WC)
+        shares.append(len(rows) / len(cloud))
+        left_out = torch.ones(len(cloud), dtype=torch.bool)
+        left_out[rows] = False
+        assert not (rows_in_view(cloud, CAMERA, T_WC) & left_out).any()
+        whole = render(cloud, CAMERA, T_WC)
+        part = drawn_in_part(lambda p, T=T_WC: render(p, CAMERA, T), cloud, boxes, CAMERA, T_WC)
+        for name in ("rgb", "depth_m", "alpha", "first_index", "dominant_index"):
+            assert torch.equal(getattr(part, name), getattr(whole, name))
+    assert sum(shares) / len(shares) < 0.7
+
+
+def test_a_chunk_with_a_nan_counts_as_in_view(cloud):
+    cloud.xyz_W[5] = torch.nan
+    T_WC = torch.eye(4)
+    T_WC[:3, 3] = 100.0
+    assert chosen(Boxes(), cloud, T_WC).tolist() == list(range(in_view.CHUNK))
+
+
+def test_few_rows_are_not_chosen_from(cloud, monkeypatch):
+    monkeypatch.setattr(in_view, "WHOLE_BELOW", len(cloud) + 1)
+    assert Boxes().rows(cloud, CAMERA, torch.eye(4)) is None
+
+
+def test_chunks_behind_a_wall_are_left_out_where_its_depth_is_known(generator):
+    n = in_view.CHUNK
+    spread = 0.05 * torch.rand(3 * n, 3, generator=generator)
+    z = torch.tensor([2.0, 2.3, 4.0]).repeat_interleave(n)
+    cloud = GaussianParams(
+        xyz_W=spread + torch.stack([0 * z, 0 * z, z], 1), log_scale=torch.full((3 * n, 3), -5.0),
+        quat=torch.ones(3 * n, 4), opacity_logit=torch.zeros(3 * n), sh=torch.zeros(3 * n, 1, 3),
+    )  # fmt: skip
+    wall = torch.full((48, 64), 2.0)
+    hole = wall.clone()
+    hole[20:36, 20:44] = 0.0
+    grid = farthest_depth(wall)
+    for depth_m, chunks in ((wall, [0, 1]), (grid, [0, 1]), (hole, None), (0 * wall, None), (None, None)):
+        rows = Boxes().rows(cloud, CAMERA, torch.eye(4), depth_m)
+        assert (None if rows is None else sorted(set((rows // n).tolist()))) == chunks
+
+
+def test_boxes_follow_the_map(cloud, generator):
+    model, boxes, T_WC = GaussianModel(0), Boxes(), torch.eye(4)
+    model.extend(cloud)
+    boxes.rows(model.params, CAMERA, T_WC)
+    rows = torch.arange(3 * in_view.CHUNK, 5 * in_view.CHUNK)
+    part = PartOfMap(model, rows, boxes)
+    part.params.xyz_W.add_(3.0)
+    part.params.log_scale.add_(1.0)
+    part.write_back()
+    known = boxes._of
+    for T_WC in poses(generator, 5):
+        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+    assert boxes._of == known  # was not made anew
+    model.params.xyz_W[0].add_(50.0)
+    model.keep(torch.arange(len(model)) != 9)
+    for T_WC in poses(generator, 5):
+        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+
+
+@pytest.mark.parametrize(("system", "preset"), [(GSFusion, gsfusion), (GPSSLAM, gps_slam), (RTGSLAM, rtg_slam)])
+def test_mapping_in_parts(system, preset, small_room, monkeypatch):
+    config = preset("room")
+    whole, parts = system(config), system(config)
+    for frame in (small_room[i] for i in range(4)):
+        monkeypatch.setattr(in_view, "WHOLE_BELOW", 10**9)
+        whole.step(frame)
+        monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
+        parts.step(frame)
+    assert len(parts.gaussians) == pytest.approx(len(whole.gaussians), rel=0.05)
+    shown = [mapper.render(frame.camera, frame.T_WC).rgb for mapper in (whole, parts)]
+    assert (shown[0] - shown[1]).abs().mean() < 0.01
+
+
+def test_a_step_leaves_what_no_view_shows_as_it_is(small_room, cloud):
+    mapper = GSFusion(replace(gsfusion("room"), sh_degree=0))
+    far = dataclasses.replace(cloud, xyz_W=cloud.xyz_W + 100.0)
+    mapper.begin_with(far)
+    mapper.step(small_room[0])
+    steps = mapper.gaussians.step_count
+    assert steps > 0
+    n = len(far) // in_view.CHUNK * in_view.CHUNK  # the last chunk has new rows, too
+    for name in vars(far):
+        assert torch.equal(getattr(mapper.gaussians.params, name)[:n], getattr(far, name)[:n])
+    assert (mapper.gaussians.exp_avg.sh[len(far) :] != 0).any()
