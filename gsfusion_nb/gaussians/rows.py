@@ -132,10 +132,14 @@ class GrowingRows:
     def keep(self, rows: Bool[Tensor, " N"]) -> None:
         """Remove every row where ``rows`` is false, in all columns alike; the order is kept."""
         check_shape("rows", rows, (self._count,))
-        kept = int(rows.sum())
+        gone = (~rows).nonzero()[:, 0]
+        if not len(gone):
+            return
+        first = int(gone[0])  # rows before it stay where they are
+        places = first + rows[first:].nonzero()[:, 0]
+        self._count = first + len(places)
         for column in self._columns.values():
-            column[:kept] = column[: self._count][rows]
-        self._count = kept
+            column[first : self._count] = column.index_select(0, places)
 
     def snapshot(self) -> dict[str, Tensor]:
         """A copy of the rows, for ``restore``."""

@@ -111,11 +111,17 @@ def _parse_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def open_frames(options: BenchOptions, size: tuple[int, int]) -> OpenedSequence:
-    """The sequence that the options ask for, without held-out frames; nothing is read yet."""
+def open_frames(options: BenchOptions, size: tuple[int, int], walk: int = _WALK) -> OpenedSequence:
+    """The sequence that the options ask for, without held-out frames; nothing is read yet.
+
+    Args:
+        options: Of the command.
+        size: Width and height; 0: as recorded.
+        walk: Least number of frames that the walk through the room is divided into.
+    """
     data = DataConfig(width=size[0], height=size[1], stop=options.n_frames, hold_out_every=0)
-    walk: dict[str, Any] = {"n_frames": max(_WALK, options.n_frames)} if options.data == "room" else {}
-    return open_sequence(options.data, data=data, **walk)
+    room: dict[str, Any] = {"n_frames": max(walk, options.n_frames)} if options.data == "room" else {}
+    return open_sequence(options.data, data=data, **room)
 
 
 def _case_name(frames: OpenedSequence) -> str:
@@ -311,7 +317,7 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
     """
     n_rooms, n_frames = (3, 3) if options.quick else (ROOMS, ROOM_FRAMES)
     size, side = options.sizes[0] if options.size else ROOM_SIZE, math.ceil(math.sqrt(n_rooms))
-    opened = open_frames(dataclasses.replace(options, frames=options.frames or n_frames), size)
+    opened = open_frames(dataclasses.replace(options, frames=options.frames or n_frames), size, walk=0)
     frames = [opened[i] for i in range(len(opened))]
     for name, system in SYSTEMS.items():
         config, times_ms = system.preset("room"), list[float]()
