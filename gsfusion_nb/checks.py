@@ -112,12 +112,7 @@ def check_name(kind: str, name: str, known) -> None:
 
 
 def check_saved(
-    name: str,
-    value: object,
-    shape: tuple[int | str, ...],
-    dtype: torch.dtype = torch.float32,
-    *,
-    finite: bool = True,
+    name: str, value: object, shape: tuple[int | str, ...], dtype: torch.dtype = torch.float32, *, finite: bool = True
 ) -> None:
     """Raise ``ValueError`` unless ``value``, from a checkpoint, is a tensor of this shape and type, and finite."""
     check_shape(name, value, shape)

@@ -114,7 +114,7 @@ _GSFUSION: dict[str, dict[str, Any]] = {
             "frame_iterations": 5,
             "random_keyframe_iterations": 5,
             "global_iterations": 20,
-        },
+        }
     },
     "azure": {},
     "room": {"data": {"width": 320, "height": 240}},

@@ -192,12 +192,7 @@ _FIDELITY: dict[str, list[dict[str, Any]]] = {
             "seeding": {"options": {"fidelity": "code"}},
             "discs": {"opaque_alpha": 0.6},
             "window": {"weight_colour": 0.8, "anchor": "window", "draw": "newest_half", "history_max_weight": 0.5},
-            "states": {
-                "colour_error": 0.2 / 3,
-                "depth_error_m": 0.2,
-                "on_error": "delete",
-                "error_count": 9,
-            },
+            "states": {"colour_error": 0.2 / 3, "depth_error_m": 0.2, "on_error": "delete", "error_count": 9},
             "keyframes": {"latest": 3, "random": 0, "rows": "stable", "instead_of_window": True},
             "final": {"weight_depth": 0.0},
             "tracking": {

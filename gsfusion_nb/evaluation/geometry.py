@@ -59,12 +59,7 @@ def _drawn_by_area(
 
 
 def mesh_scores(
-    mesh: Mesh,
-    reference: Mesh,
-    *,
-    generator: torch.Generator,
-    threshold_m: float = 0.03,
-    n_samples: int = 200_000,
+    mesh: Mesh, reference: Mesh, *, generator: torch.Generator, threshold_m: float = 0.03, n_samples: int = 200_000
 ) -> dict[str, float] | NotComputed:
     """Accuracy and completion of ``mesh`` against ``reference``, from even samples of both surfaces.
 

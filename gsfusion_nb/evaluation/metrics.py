@@ -215,7 +215,4 @@ def frame_rates(seconds: Sequence[float | int]) -> dict[str, float | NotComputed
     if not seconds or min(seconds) <= 0:
         missing = NotComputed("no frame was timed" if not seconds else "a frame took no time")
         return {"fps_total": missing, "fps_mean_inverse": missing}
-    return {
-        "fps_total": len(seconds) / sum(seconds),
-        "fps_mean_inverse": sum(1.0 / s for s in seconds) / len(seconds),
-    }
+    return {"fps_total": len(seconds) / sum(seconds), "fps_mean_inverse": sum(1.0 / s for s in seconds) / len(seconds)}

@@ -198,11 +198,7 @@ class GrowingRows:
 
 
 def moved(
-    params: GaussianParams,
-    R: Float[Tensor, "3 3"],
-    t: Float[Tensor, "3"] | None = None,
-    *,
-    scale: float = 1.0,
+    params: GaussianParams, R: Float[Tensor, "3 3"], t: Float[Tensor, "3"] | None = None, *, scale: float = 1.0
 ) -> GaussianParams:
     """The map in another frame: x -> scale R x + t. It looks the same from a camera that is moved in the same way.
 

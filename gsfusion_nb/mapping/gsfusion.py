@@ -8,16 +8,7 @@ from torch import Tensor
 from ..backends import observed, piece
 from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
 from ..gaussians import GaussianModel
-from ..optim import (
-    Keyframe,
-    ViewLoss,
-    adam_step,
-    add_penalties_,
-    depth_l1,
-    depth_l1_vjp,
-    dssim_vjp,
-    l1_mse_vjp,
-)
+from ..optim import Keyframe, ViewLoss, adam_step, add_penalties_, depth_l1, depth_l1_vjp, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, rule_name
 from ..tsdf import FusedView, fuse_frame_

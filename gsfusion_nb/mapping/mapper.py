@@ -22,15 +22,7 @@ from ..config import SystemConfig, from_dict, to_dict
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose
 from ..render import Boxes, drawn_in_part, render
-from ..seeding import (
-    Cells,
-    SeedContext,
-    SeedingRule,
-    apply_rule,
-    copy_memory,
-    move_memory,
-    rule_name,
-)
+from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, move_memory, rule_name
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds

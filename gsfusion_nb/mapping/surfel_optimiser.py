@@ -118,12 +118,7 @@ class SurfelOptimiser:
         if part is not None:
             params, is_trained = params[part], is_trained[part]
         output, saved = render_forward(
-            params,
-            view.camera,
-            view.T_WC,
-            with_indices=False,
-            opaque_alpha=discs.opaque_alpha,
-            pixels=view.pixels,
+            params, view.camera, view.T_WC, with_indices=False, opaque_alpha=discs.opaque_alpha, pixels=view.pixels
         )
         hit = output.hit_index
         assert hit is not None

@@ -194,12 +194,7 @@ class _Meeting:
 
 
 def _meet(
-    params: GaussianParams,
-    camera: Camera,
-    T_WC: Tensor,
-    hit_index: Tensor,
-    max_offset: float | None,
-    min_cosine: float,
+    params: GaussianParams, camera: Camera, T_WC: Tensor, hit_index: Tensor, max_offset: float | None, min_cosine: float
 ) -> _Meeting:
     T_WC = T_WC.to(params.xyz_W)
     T_CW, row = se3.inverse(T_WC), hit_index[hit_index >= 0].long()

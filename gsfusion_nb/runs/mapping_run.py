@@ -75,13 +75,7 @@ class MappingRun:
     resumable = True
     """Whether an interrupted run can be continued from its checkpoint."""
 
-    def __init__(
-        self,
-        sequence: OpenedSequence,
-        mapper: Mapper,
-        *,
-        source: dict[str, Any] | None = None,
-    ):
+    def __init__(self, sequence: OpenedSequence, mapper: Mapper, *, source: dict[str, Any] | None = None):
         if not isinstance(mapper, Mapper):
             raise TypeError(f"expected a mapper, such as GSFusion(config), got {type(mapper).__name__}")
         self.mapper: Any = mapper

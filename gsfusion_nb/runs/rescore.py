@@ -22,11 +22,7 @@ log = logging.getLogger(__name__)
 
 
 def rescore(
-    folder: Path | str,
-    *,
-    data: str | None = None,
-    with_lpips: bool = False,
-    device: torch.device | str | None = None,
+    folder: Path | str, *, data: str | None = None, with_lpips: bool = False, device: torch.device | str | None = None
 ) -> dict[str, Any]:
     """Render the map of a finished run from the views in views.json, and update the scores in metrics.json.
 

@@ -17,11 +17,7 @@ from .stream_run import StreamRun
 
 
 def load_run(
-    folder: Path | str,
-    *,
-    seeding: "str | SeedingRule | None" = None,
-    device: torch.device | str = "cpu",
-    **given: Any,
+    folder: Path | str, *, seeding: "str | SeedingRule | None" = None, device: torch.device | str = "cpu", **given: Any
 ) -> MappingRun:
     """The run that was interrupted or killed in ``folder``; a stream gives no more frames. ``given``: loss, optimiser.
 

@@ -12,16 +12,7 @@ from torch import Tensor
 
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
 from ..geometry import backproject, depth_to_normals, pixel_grid, quaternion, se3
-from ..render import (
-    BaseView,
-    Boxes,
-    OverBaseOutput,
-    SurfaceView,
-    drawn_in_part,
-    render,
-    render_over_base,
-    view_surface,
-)
+from ..render import BaseView, Boxes, OverBaseOutput, SurfaceView, drawn_in_part, render, render_over_base, view_surface
 from ..tsdf import RaycastOutput, TsdfVolume, raycast
 from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
 from .image_features import (

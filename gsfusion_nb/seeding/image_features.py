@@ -60,8 +60,7 @@ def structure_directions(grey: Float[Tensor, "H W"], window_px: int) -> EdgeDire
     difference = ((xx - yy).square() + 4 * xy.square()).sqrt()  # l1 - l2
     across = torch.atan2(2 * xy, xx - yy) / 2
     return EdgeDirection(
-        along=torch.stack([-across.sin(), across.cos()], dim=2),
-        coherence=difference / (xx + yy + NO_GRADIENT**2),
+        along=torch.stack([-across.sin(), across.cos()], dim=2), coherence=difference / (xx + yy + NO_GRADIENT**2)
     )
 
 

@@ -22,14 +22,7 @@ from .features import FEATURES, LEVELS, Features
 from .landmark_map import LandmarkMap
 from .loops import LoopFinder
 from .matching import RelativePose, refine_pose, rows_of
-from .pose_graph import (
-    Edge,
-    edge_error,
-    fit_odometry,
-    odometry_information,
-    optimise_poses,
-    with_floor,
-)
+from .pose_graph import Edge, edge_error, fit_odometry, odometry_information, optimise_poses, with_floor
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -235,12 +228,7 @@ class BackEnd:
             self._with_landmarks()
         self.map.collect()
         fresh, self._fresh_loops = self._fresh_loops, []
-        return Correction(
-            frame_index=torch.tensor(self.database.index),
-            T_WC_old=old,
-            T_WC_new=self.T_WC,
-            loops=fresh,
-        )
+        return Correction(frame_index=torch.tensor(self.database.index), T_WC_old=old, T_WC_new=self.T_WC, loops=fresh)
 
     def _true_loops(self) -> list[tuple[int, Tensor]]:
         """The loops that the present poses agree with."""

@@ -140,13 +140,7 @@ def depth_weight(depth_m: Float[Tensor, "*N"], even_to_m: float | None) -> Float
 
 
 def check_icp(
-    level: Any,
-    T_WC: Any,
-    surface: Any,
-    *,
-    max_distance_m: float,
-    min_cosine: float,
-    even_to_m: float | None = None,
+    level: Any, T_WC: Any, surface: Any, *, max_distance_m: float, min_cosine: float, even_to_m: float | None = None
 ) -> None:
     """Raise ``ValueError`` for arguments that ``icp_system`` refuses."""
     for name, kind, value in (("level", DepthLevel, level), ("surface", Surface, surface)):

@@ -157,12 +157,7 @@ class Landmarks:
         with_depth = self.database.features[row_b].has_depth.numpy()[at_b]
         return torch.from_numpy(np.stack([at_a[with_depth], at_b[with_depth]], 1).astype(np.int64))
 
-    def observations(
-        self,
-        *,
-        per_keyframe: int,
-        keyframes: list[int] | None = None,
-    ) -> Observations:
+    def observations(self, *, per_keyframe: int, keyframes: list[int] | None = None) -> Observations:
         """Observations of landmarks that at least two keyframes see, reduced to ``per_keyframe`` of each.
 
         Args:

@@ -297,11 +297,7 @@ def _check_saved_blocks(state: dict[str, Any]) -> None:
     coords = state["block_coords"]
     check_saved("block_coords", coords, ("B", 3), torch.int32)
     n = len(coords)
-    for name, shape in (
-        ("D", (n, VOXELS_PER_BLOCK)),
-        ("W", (n, VOXELS_PER_BLOCK)),
-        ("rgb", (n, 3, VOXELS_PER_BLOCK)),
-    ):
+    for name, shape in (("D", (n, VOXELS_PER_BLOCK)), ("W", (n, VOXELS_PER_BLOCK)), ("rgb", (n, 3, VOXELS_PER_BLOCK))):
         check_saved(name, state[name], shape)
     check_saved("W_rgb", _colour_weights(state), (n, VOXELS_PER_BLOCK))
     if len(encode(coords).unique()) != n:

@@ -30,13 +30,7 @@ _FLAT_SQUARE, _PER_ERROR = f32(FLAT) * f32(FLAT), f32(1.0 / USUAL_ERROR)
 
 
 def brightness_system(
-    level: DepthLevel,
-    brightness: Tensor,
-    T_WC: Tensor,
-    picture: Picture,
-    *,
-    max_distance_m: float,
-    offset: float = 0.0,
+    level: DepthLevel, brightness: Tensor, T_WC: Tensor, picture: Picture, *, max_distance_m: float, offset: float = 0.0
 ) -> BrightnessSystem:
     """See ``gsfusion_nb.tracking.brightness_system``."""
     images = (level.depth_m, brightness, picture.depth_m, picture.brightness, picture.gradient)

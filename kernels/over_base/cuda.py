@@ -79,12 +79,7 @@ def render_over_base(
 
 
 def render_over_base_vjp(
-    saved: Any,
-    v_rgb: Tensor,
-    *,
-    rows: Tensor | None = None,
-    v_uv: Tensor | None = None,
-    v_uv_abs: Tensor | None = None,
+    saved: Any, v_rgb: Tensor, *, rows: Tensor | None = None, v_uv: Tensor | None = None, v_uv_abs: Tensor | None = None
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_over_base_vjp``.
 

@@ -39,20 +39,7 @@ from ..composite.layout import (
     SUM_RED,
 )
 from ..composite.numba import CEILING, HALF, ONE, ZERO, across, alpha_of, row_exponent, zeros
-from ..project.layout import (
-    BLUE,
-    CONIC_A,
-    CONIC_B,
-    CONIC_C,
-    DEPTH,
-    EXTENT_U,
-    EXTENT_V,
-    GREEN,
-    RED,
-    U,
-    V,
-    pack_camera,
-)
+from ..project.layout import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, EXTENT_U, EXTENT_V, GREEN, RED, U, V, pack_camera
 from ..project.numba import gradients_of, project
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
@@ -334,12 +321,7 @@ def render_over_base(
 
 
 def render_over_base_vjp(
-    saved: Any,
-    v_rgb: Tensor,
-    *,
-    rows: Tensor | None = None,
-    v_uv: Tensor | None = None,
-    v_uv_abs: Tensor | None = None,
+    saved: Any, v_rgb: Tensor, *, rows: Tensor | None = None, v_uv: Tensor | None = None, v_uv_abs: Tensor | None = None
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_over_base_vjp``."""
     trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()

@@ -23,11 +23,7 @@ _MOST_PIXELS, _MOST_EXTRA_LEVELS = 256, 7
 
 
 def quadtree(
-    rgb_u8: Tensor,
-    *,
-    threshold: float = 0.1,
-    min_cell_px: int = 1,
-    contrast: Literal["released", "std"] = "released",
+    rgb_u8: Tensor, *, threshold: float = 0.1, min_cell_px: int = 1, contrast: Literal["released", "std"] = "released"
 ) -> Cells:
     """See ``gsfusion_nb.seeding.quadtree``."""
     device = device_of("quadtree", rgb_u8)

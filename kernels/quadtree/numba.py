@@ -38,11 +38,7 @@ _N_COLUMNS = len(LEAF_COLUMNS)
 
 
 def quadtree(
-    rgb_u8: Tensor,
-    *,
-    threshold: float = 0.1,
-    min_cell_px: int = 1,
-    contrast: Literal["released", "std"] = "released",
+    rgb_u8: Tensor, *, threshold: float = 0.1, min_cell_px: int = 1, contrast: Literal["released", "std"] = "released"
 ) -> Cells:
     """See ``gsfusion_nb.seeding.quadtree``."""
     if rgb_u8.device.type != "cpu":

@@ -36,10 +36,7 @@ class RandomScene:
         """The same scene with its tensors on ``device``."""
         columns = {name: value.to(device) for name, value in vars(self.params).items()}
         return RandomScene(
-            params=GaussianParams(**columns),
-            camera=self.camera,
-            T_WC=self.T_WC.to(device),
-            v_rgb=self.v_rgb.to(device),
+            params=GaussianParams(**columns), camera=self.camera, T_WC=self.T_WC.to(device), v_rgb=self.v_rgb.to(device)
         )
 
 

@@ -29,12 +29,7 @@ DEPTH_SCALE = 1000.0
 _SUFFIX = {"half": "_2", "full": ""}
 
 
-def scannetpp(
-    path: str | Path,
-    *,
-    split: str = "all",
-    resolution: str = "auto",
-) -> RecordedSequence:
+def scannetpp(path: str | Path, *, split: str = "all", resolution: str = "auto") -> RecordedSequence:
     """Read a ScanNet++ scene in the nerfstudio layout (module docstring).
 
     Depth scale: 1000 per metre. Poses: ``transform_matrix`` is camera-to-world with OpenGL axes (y up, z backward); it

@@ -114,10 +114,7 @@ def _conventions(e: Explanation) -> list[Finding]:
         "quaternions": ("quaternion order", "The rotations are read in the right order."),
     }
     if r.quaternions != "as_read":
-        texts["quaternions"] = (
-            "quaternion order",
-            f"The quaternions are stored {r.quaternions}, not as read.",
-        )
+        texts["quaternions"] = ("quaternion order", f"The quaternions are stored {r.quaternions}, not as read.")
     mine = [t for t in e.tried if all(getattr(t.repair, k) == getattr(r, k) for k in texts)]
     score = mine[0].score if mine else 0.0
     findings = []

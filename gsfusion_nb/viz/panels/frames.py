@@ -84,9 +84,7 @@ def point_colours(frame: Frame, show: str) -> Picture:
 
 
 def moved_pose(
-    T_WC: Float[Tensor, "4 4"],
-    offset_C_m: tuple[float, float, float],
-    turn_deg: float | int,
+    T_WC: Float[Tensor, "4 4"], offset_C_m: tuple[float, float, float], turn_deg: float | int
 ) -> Float[Tensor, "4 4"]:
     """The pose after a step along the camera's own axes, then a turn about its y axis.
 

@@ -75,15 +75,7 @@ class Stepper(anywidget.AnyWidget):
     shown = synced(t.Int(0))
     """Counts the pictures; the page draws when it changes."""
 
-    def __init__(
-        self,
-        steps: Sequence[Step],
-        draw: Draw,
-        *,
-        name: str,
-        label: str,
-        size: tuple[int, int] = (450, 340),
-    ):
+    def __init__(self, steps: Sequence[Step], draw: Draw, *, name: str, label: str, size: tuple[int, int] = (450, 340)):
         from matplotlib.figure import Figure
 
         if not steps:

@@ -122,7 +122,7 @@ def _architecture(nvrtc: ctypes.CDLL, capability: tuple[int, int]) -> str:
     older = [arch for arch in known if arch < wanted]
     if not older:
         raise BackendUnavailable(
-            f"backend 'cuda' needs a GPU of compute capability {min(known) / 10:.1f} or more, got {wanted / 10:.1f}",
+            f"backend 'cuda' needs a GPU of compute capability {min(known) / 10:.1f} or more, got {wanted / 10:.1f}"
         )
     return f"compute_{max(older)}"
 

@@ -230,9 +230,7 @@ def _second_pass(bag: _Bag, pairs: list[tuple[int, int]]) -> Iterator[tuple[int,
             yield d, bag.depth_s[d], colour, depth
 
 
-def _cameras(
-    bag: _Bag,
-) -> tuple[CameraModel | None, CameraModel | None, Float[Tensor, "4 4"] | None, list[str]]:
+def _cameras(bag: _Bag) -> tuple[CameraModel | None, CameraModel | None, Float[Tensor, "4 4"] | None, list[str]]:
     """Colour camera, depth camera if it is another one, the transform between them, and notes."""
     infos = {kind: _info_of(bag, topic) for kind, topic in (("colour", bag.colour), ("depth", bag.depth))}
     model = None if infos["colour"] is None else _model(infos["colour"], bag.colour, bag.path)
