@@ -143,7 +143,8 @@ def boxes_in_view(
     normal, factor = np.array(planes)[:, :3] @ T_CW[:3], np.array(planes)[:, 3:]
     middle, half = (low + high) / 2, (high - low) / 2
     nearest = normal[:, :3] @ middle.T + normal[:, 3:] - np.abs(normal[:, :3]) @ half.T  # [5, C]
-    return ~(nearest > factor * reach_m).any(0)
+    outside: Any = (nearest > factor * reach_m).any(0)
+    return ~outside
 
 
 def _axes(camera: Camera) -> tuple[tuple[int, float, float, int], tuple[int, float, float, int]]:
