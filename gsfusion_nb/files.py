@@ -531,12 +531,20 @@ def parse_json(text: str, source: str, what: str) -> Any:
     """Values of a JSON text; ``source`` is its name for messages.
 
     What is no number for a computer is refused. Python's parser reads NaN and Infinity, which JSON does not have, and
-    makes infinities of numbers that are too large. Of two equal keys the last one counts.
+    makes infinities of numbers that are too large. Of two equal keys it takes the last one, which is refused here.
     """
     try:
-        return json.loads(text, parse_constant=_finite, parse_float=_finite)
+        return json.loads(text, object_pairs_hook=_object, parse_constant=_finite, parse_float=_finite)
     except (ValueError, RecursionError) as e:  # a ValueError also where a number has thousands of digits
         raise SequenceError(f"{source} is not valid JSON ({e}); expected {what}") from None
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) != len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"the key {next(k for k in keys if keys.count(k) > 1)[:40]!r} appears twice in an object")
+    return values
 
 
 def _finite(text: str) -> float:

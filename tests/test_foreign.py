@@ -156,12 +156,14 @@ def test_sentences_pass_and_memory_has_its_own():
         ('{"a":\n  NaN}', "NaN is not a finite number"),
         ('["NaN", -Infinity]', "-Infinity is not a finite number"),
         ("[1e999]", "1e999 is not a finite number"),
+        ('{"a": 1,\n "b": {"a": 2, "a": 3}}', "the key 'a' appears twice"),
+        ('{"\\u0061": 1, "a": 2}', "the key 'a' appears twice"),
         (f"[{'9' * 5000}]", "5000 digits"),
         ("[" * 100_000, "recursion"),
         ('{"a": [1, 2}', "line 1 column 12"),
     ],
 )
-def test_json_that_is_no_number(text, fault):
+def test_json_that_is_ambiguous_or_no_number(text, fault):
     with pytest.raises(SequenceError, match=rf"^a\.json is not valid JSON \(.*{fault}.*\); expected settings$"):
         parse_json(text, "a.json", "settings")
 

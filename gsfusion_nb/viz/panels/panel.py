@@ -143,7 +143,7 @@ class Panel:
                 self._show_error(e)
                 return
             self.image.width = self._picture.shape[1]
-            self.image.alt = f"{self.text}: {_spoken(words.partition('<table')[0])}"
+            self.image.alt = f"{self.text}: {_spoken(words.partition('<table')[0]) or _spoken(words)}"
             self.image.show(self._picture)
             self.caption.value = words
 

@@ -95,3 +95,13 @@ def test_a_drag_moves_sliders_from_where_they_were_when_it_began():
     panel.drag((0.0, 0.0), (90.0, 0.0))
     assert panel.values == {"level": 40, "flip": False}  # the end of the slider
     assert panel.image.alt == "A grey: grey 40, False"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"), [("<p>3 of 4</p><table><td>1</td></table>", "3 of 4"), ("<table><td>7 cm</td></table>", "7 cm")]
+)
+def test_a_table_is_spoken_only_where_there_is_nothing_else(words, said):
+    def draw():
+        return np.zeros((4, 6, 3), np.uint8), words
+
+    assert Panel(draw, {}, text="A grey").image.alt == f"A grey: {said}"
