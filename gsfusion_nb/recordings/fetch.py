@@ -14,6 +14,7 @@ import stat
 import sys
 import tarfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -208,10 +209,18 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name) -
             with (folder / path).open("xb") as file:
                 shutil.copyfileobj(source, file)
             count += 1
-    except Exception as e:
-        full_disk = isinstance(e, OSError) and not isinstance(e, gzip.BadGzipFile)
-        if full_disk or isinstance(e, SequenceError):
-            raise
+    except ArchiveError:
+        raise
+    except (
+        ValueError,
+        NotImplementedError,
+        RuntimeError,
+        zipfile.BadZipFile,
+        tarfile.TarError,
+        gzip.BadGzipFile,
+        zlib.error,
+        EOFError,
+    ) as e:
         raise ArchiveError(
             f"{archive.name} is damaged or not an archive ({e}); run again to download it again"
         ) from None
