@@ -1,5 +1,6 @@
 """A trace of a mapper: its numbers are those of the operations, and the map is that of a mapper without a trace."""
 
+import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from gsfusion_nb.course.trace import PixelFused, PixelSeeded, Trace, tracing
 from gsfusion_nb.gaussians import Edit
 from gsfusion_nb.mapping import RTGSLAM
 from gsfusion_nb.optim import adam_update
+from gsfusion_nb.render import in_view
 from gsfusion_nb.seeding import MapRule
 from gsfusion_nb.types import Camera, Frame
 
@@ -143,6 +145,22 @@ def test_the_pixels_of_a_gaussian_are_the_gaussians_of_the_pixels(traced):
         at = of_pixel.ids.tolist().index(4)
         for name in ("alpha", "transmittance", "weight"):
             assert float(getattr(of_pixel, name)[at]) == pytest.approx(float(getattr(tile, name)[k]), rel=1e-6)
+
+
+def test_steps_on_a_part_of_a_large_map_are_recorded(frames, monkeypatch):
+    monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
+    monkeypatch.setattr(in_view, "CHUNK", 16)
+    turned = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
+    mapper = GSFusion(settings())
+    with tracing(mapper) as trace:
+        mapper.step(frames[0])
+        mapper.step(dataclasses.replace(frames[1], T_WC=turned))
+    steps = [trace.gaussian(row).steps for row in range(len(mapper.gaussians))]
+    for row, (*_, last) in enumerate(steps):
+        assert last.row == row
+        assert torch.equal(last.adam["xyz_W"].after, mapper.gaussians.params.xyz_W[row])
+    serials = [{step.serial for step in of_row} for of_row in steps]
+    assert set.union(*serials) > serials[0]
 
 
 def test_a_voxel_has_the_values_of_the_volume(frames):

@@ -267,7 +267,7 @@ def gaussian_moment(record: Record, i: int) -> GaussianStep | None:
     )
     return GaussianStep(
         **common(record), camera=camera, image=record.rgb, marks=marks if lists else Marks(),
-        stage=record.stage, view_index=record.view_index, row=r,
+        stage=record.stage, view_index=record.view_index, row=int(record.rows[r]),
         loss=float(record.loss), drawn=bool(lists), uv=s.uv[r].cpu().clone(), conic=s.conic[r].cpu().clone(),
         depth_m=float(s.depth_m[r]), opacity=float(s.opacity[r]), rgb=s.rgb[r].cpu().clone(), tiles=places,
         adam=_adam(record, r), t=int(record.t[r]) if isinstance(record.t, Tensor) else record.t,

@@ -64,6 +64,8 @@ class StepRecord(Record):
     """The photograph, bytes or 0..1. [H, W, 3]"""
     ids: Int[Tensor, " R"]
     """Identity of each Gaussian that was rendered."""
+    rows: Int[Tensor, " R"]
+    """Its row in the map."""
     screen: ScreenGaussians
     rgb: Float[Tensor, "H W 3"]
     alpha: Float[Tensor, "H W"]

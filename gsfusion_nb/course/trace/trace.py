@@ -14,6 +14,7 @@ from torch import Tensor
 from ...backends import observing
 from ...checks import check_whole
 from ...geometry import se3
+from ...optim import PartOfMap
 from ...optim.adam import ColumnRates
 from ...seeding import rule_name
 from ...tsdf.integrate import blocks_in_view
@@ -144,8 +145,11 @@ class Recorder:
 
     def _adam_step(self, f: Call, args: tuple, kwargs: dict) -> Any:
         model, gradients = args[:2]
-        if self._step is None or model is not self.mapper.gaussians:
+        part = model if isinstance(model, PartOfMap) else None
+        if self._step is None or (model if part is None else part.model) is not self.mapper.gaussians:
             return f(*args, **kwargs)
+        rows = torch.arange(len(self._step["ids"])) if part is None else part.rows.cpu()
+        self._step |= {"rows": rows, "ids": self._step["ids"][rows]}
         moments = (model.params, model.exp_avg, model.exp_avg_sq)
         before = [self._shared(_copies(rows), kind) for rows, kind in zip(moments, _KINDS, strict=True)]
         out = f(*args, **kwargs)
