@@ -10,7 +10,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, adaptive_max_pool2d
 
+from ..geometry import se3
 from ..types import Camera, GaussianParams
 from .constants import ALPHA_MIN, FRUSTUM_CLAMP, SCREEN_BLUR_PX2
 
@@ -43,16 +44,26 @@ _MORE = 1.001
 View = TypeVar("View")
 
 
-class Boxes:
-    """Boxes around the chunks of a map, on the CPU, which are made anew when its tensors have changed.
+class Chunks(NamedTuple):
+    """Where the Gaussians of each chunk are, on the CPU."""
 
-    PyTorch does not notice a kernel that changes a tensor through its memory, so parts are stepped on copies.
+    low: Float[ndarray, "C 3"]
+    """Lowest centre, world frame, metres; NaN where a row has one."""
+    high: Float[ndarray, "C 3"]
+    """Highest centre."""
+    reach_m: Float[ndarray, " C"]
+    """Largest distance from its centre at which a Gaussian of the chunk is above 1/255, metres."""
+
+
+class Boxes:
+    """Boxes around the chunks of a map, which are made anew when its tensors have changed.
+
+    PyTorch counts the changes of a tensor. A kernel that changes one through its memory has to tell it.
     """
 
     def __init__(self) -> None:
         self._of: tuple[int, ...] = ()
-        self._low = self._high = np.zeros((0, 3))
-        self._reach_m = np.zeros(0)
+        self._chunks = Chunks(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
 
     def rows(
         self,
@@ -72,22 +83,22 @@ class Boxes:
         if n < WHOLE_BELOW:
             return None
         if self._of != _state(params):
-            self._low, self._high, self._reach_m = _boxes_of(params)
-            self._of = _state(params)
-        boxes, T_CW = (self._low, self._high, self._reach_m), np.linalg.inv(T_WC.detach().cpu().double().numpy())
-        chunks = boxes_in_view(*boxes, camera, T_CW).nonzero()[0]
+            self._chunks, self._of = _chunks_of(params), _state(params)
+        T_CW = se3.inverse(T_WC.detach().cpu().double()).numpy()
+        seen = chunks_in_view(self._chunks, camera, T_CW).nonzero()[0]
         if depth_m is not None:
-            low, high, reach_m = (x[chunks] for x in boxes)
-            chunks = chunks[~boxes_behind(low, high, reach_m, camera, T_CW, farthest_depth(depth_m).cpu().numpy())]
-        if len(chunks) == len(self._low):
+            near = Chunks(*(x[seen] for x in self._chunks))
+            seen = seen[~chunks_behind(near, camera, T_CW, farthest_depth(depth_m).cpu().numpy())]
+        if len(seen) == len(self._chunks.low):
             return None
-        rows = (CHUNK * chunks[:, None] + np.arange(CHUNK)).ravel()
+        rows = (CHUNK * seen[:, None] + np.arange(CHUNK)).ravel()
         return torch.from_numpy(rows[rows < n]).to(params.xyz_W.device)
 
     def renew(self, params: GaussianParams, rows: Int[Tensor, " R"], part: GaussianParams) -> None:
         """Follow a change of only these ``rows``, which were all in the last result; ``part``: their new values."""
-        chunks = rows[::CHUNK].cpu().numpy() // CHUNK
-        self._low[chunks], self._high[chunks], self._reach_m[chunks] = _boxes_of(part)
+        changed = rows[::CHUNK].cpu().numpy() // CHUNK
+        for column, values in zip(self._chunks, _chunks_of(part), strict=True):
+            column[changed] = values
         self._of = _state(params)
 
 
@@ -97,11 +108,10 @@ def _state(params: GaussianParams) -> tuple[int, ...]:
     return (len(params), *(x.data_ptr() for x in columns), *(x._version for x in columns))
 
 
-def _boxes_of(params: GaussianParams) -> tuple[ndarray, ndarray, ndarray]:
-    """Lowest and highest centre of each chunk [C, 3], and how far a Gaussian of it reaches, metres [C]."""
-    ends = [_by_chunk(extreme, params.xyz_W) for extreme in (torch.amin, torch.amax)]
+def _chunks_of(params: GaussianParams) -> Chunks:
+    low, high = (_by_chunk(extreme, params.xyz_W) for extreme in (torch.amin, torch.amax))
     reach_m = _REACH * _by_chunk(torch.amax, params.log_scale).amax(1).exp()
-    return ends[0].cpu().numpy(), ends[1].cpu().numpy(), reach_m.cpu().numpy()
+    return Chunks(low.cpu().numpy(), high.cpu().numpy(), reach_m.cpu().numpy())
 
 
 def _by_chunk(extreme: Callable[[Tensor, int], Tensor], x: Float[Tensor, "N 3"]) -> Float[Tensor, "C 3"]:
@@ -111,14 +121,8 @@ def _by_chunk(extreme: Callable[[Tensor, int], Tensor], x: Float[Tensor, "N 3"])
     return whole if n == len(x) else torch.cat([whole, extreme(x[n:], 0)[None]])
 
 
-def boxes_in_view(
-    low: Float[ndarray, "C 3"],
-    high: Float[ndarray, "C 3"],
-    reach_m: Float[ndarray, " C"],
-    camera: Camera,
-    T_CW: Float[ndarray, "4 4"],
-) -> Bool[ndarray, " C"]:
-    """Whether Gaussians with centres in a box may reach the picture.
+def chunks_in_view(chunks: Chunks, camera: Camera, T_CW: Float[ndarray, "4 4"]) -> Bool[ndarray, " C"]:
+    """Whether Gaussians of a chunk may reach the picture; NaN counts as in view.
 
     A Gaussian touches the picture only if its centre is in front of the camera and, with half the image size h and the
     focal length f along an axis, and the bound of ``rows_in_view`` on its size,
@@ -128,8 +132,7 @@ def boxes_in_view(
     Times z this is linear in the centre, so the corner of the box that lies farthest along a plane decides.
 
     Args:
-        low, high: Corners of the boxes, world frame, metres; NaN counts as in view. [C, 3]
-        reach_m: Largest distance from its centre at which a Gaussian of the box is above 1/255, metres. [C]
+        chunks: Of the map.
         camera: as given to ``render``.
         T_CW: World-to-camera pose.
     """
@@ -141,9 +144,9 @@ def boxes_in_view(
             n[axis] = sign * f
             planes.append((n[0], n[1], n[2], _MORE * f * math.sqrt(1 + limit**2)))
     normal, factor = np.array(planes)[:, :3] @ T_CW[:3], np.array(planes)[:, 3:]
-    middle, half = (low + high) / 2, (high - low) / 2
+    middle, half = (chunks.low + chunks.high) / 2, (chunks.high - chunks.low) / 2
     nearest = normal[:, :3] @ middle.T + normal[:, 3:] - np.abs(normal[:, :3]) @ half.T  # [5, C]
-    outside: Any = (nearest > factor * reach_m).any(0)
+    outside: Any = (nearest > factor * chunks.reach_m).any(0)
     return ~outside
 
 
@@ -152,31 +155,25 @@ def _axes(camera: Camera) -> tuple[tuple[int, float, float, int], tuple[int, flo
 
 
 def farthest_depth(depth_m: Float[Tensor, "h w"]) -> Float[Tensor, "12 16"]:
-    """Largest depth in each cell of ``GRID``, infinite where most of it is not known; given such a grid, the same.
+    """Largest depth in each cell of ``GRID``, infinite where most of it is not known; of its own result the same.
 
     Args:
         depth_m: z-depth, metres, 0 where missing.
     """
-    if tuple(depth_m.shape) == GRID:
-        return depth_m
     known = adaptive_avg_pool2d((depth_m > 0).to(depth_m.dtype)[None], GRID)[0]
     return torch.where(known > 0.5, adaptive_max_pool2d(depth_m[None], GRID)[0], torch.inf)
 
 
-def boxes_behind(
-    low: Float[ndarray, "C 3"],
-    high: Float[ndarray, "C 3"],
-    reach_m: Float[ndarray, " C"],
-    camera: Camera,
-    T_CW: Float[ndarray, "4 4"],
-    farthest_m: Float[ndarray, "12 16"],
+def chunks_behind(
+    chunks: Chunks, camera: Camera, T_CW: Float[ndarray, "4 4"], farthest_m: Float[ndarray, "12 16"]
 ) -> Bool[ndarray, " C"]:
-    """Whether everything in a box is more than ``BEHIND_M`` behind the depth in all cells that it may touch.
+    """Whether all of a chunk is more than ``BEHIND_M`` behind the depth in all cells that it may touch.
 
     Args:
-        low, high, reach_m, camera, T_CW: As for ``boxes_in_view``.
+        chunks, camera, T_CW: As for ``chunks_in_view``.
         farthest_m: From ``farthest_depth``.
     """
+    low, high, reach_m = chunks
     corners = np.stack([np.where(which, high, low) for which in itertools.product((False, True), repeat=3)], 1)
     xyz = corners @ T_CW[:3, :3].T + T_CW[:3, 3]  # [C, 8, 3]
     nearest_m = xyz[..., 2].min(1) - reach_m

@@ -5,6 +5,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.graph import increment_version
 
 from gsfusion_nb.backends import load
 from gsfusion_nb.optim.adam import ColumnRates
@@ -47,6 +48,8 @@ def adam_update_map(
     blocks = 2 * parts(3 * N, _NUMBERS) + parts(4 * N, _NUMBERS) + parts(N, _NUMBERS) + parts(3 * K * N, _NUMBERS)
     counts, decay = _steps(steps, beta1, beta2), _decay(beta1, beta2, eps)
     launch(operation, "adam:update_map", blocks, _BLOCK, *groups, rates._asdict(), counts, decay, N, K)
+    for column in groups[0].values():
+        increment_version(column)
 
 
 def adam_update(
@@ -71,6 +74,7 @@ def adam_update(
     counts, decay, width = _steps(steps, beta1, beta2), _decay(beta1, beta2, eps), total // max(len(param), 1)
     blocks = parts(total, _NUMBERS)
     launch("adam_update", "adam:update_parameter", blocks, _BLOCK, column, rate, lr, counts, decay, total, width)
+    increment_version(param)
 
 
 def _steps(steps: int | Tensor | None, beta1: float, beta2: float) -> dict[str, Any]:

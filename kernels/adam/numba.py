@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 from torch import Tensor
+from torch.autograd.graph import increment_version
 
 from gsfusion_nb.backends import load
 from gsfusion_nb.optim.adam import adam_update as reference
@@ -45,6 +46,7 @@ def adam_update(
     decay = tuple(map(f32, (beta1, 1 - beta1, beta2, 1 - beta2, eps)))
     with launching():
         _update(arrays, by_row, rate, decay)
+    increment_version(param)
 
 
 def adam_update_map(*operands: Any, **options: Any) -> None:

@@ -5,11 +5,12 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import OptimConfig, gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
-from gsfusion_nb.optim import PartOfMap
+from gsfusion_nb.optim import PartOfMap, adam_step
 from gsfusion_nb.render import Boxes, drawn_in_part, farthest_depth, in_view, render, rows_in_view
 from gsfusion_nb.types import Camera, GaussianParams
 
@@ -86,8 +87,17 @@ def test_chunks_behind_a_wall_are_left_out_where_its_depth_is_known(generator):
     wall = torch.full((48, 64), 2.0)
     hole = wall.clone()
     hole[20:36, 20:44] = 0.0
+    small = torch.full(in_view.GRID, 2.0)
+    small[5:7, 7:9] = 0.0  # of the size of a grid, but with depth that is missing
     grid = farthest_depth(wall)
-    for depth_m, chunks in ((wall, [0, 1]), (grid, [0, 1]), (hole, None), (0 * wall, None), (None, None)):
+    for depth_m, chunks in (
+        (wall, [0, 1]),
+        (grid, [0, 1]),
+        (small, None),
+        (hole, None),
+        (0 * wall, None),
+        (None, None),
+    ):
         rows = Boxes().rows(cloud, CAMERA, torch.eye(4), depth_m)
         assert (None if rows is None else sorted(set((rows // n).tolist()))) == chunks
 
@@ -109,6 +119,20 @@ def test_boxes_follow_the_map(cloud, generator):
     model.keep(torch.arange(len(model)) != 9)
     for T_WC in poses(generator, 5):
         assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+
+
+@pytest.mark.parametrize("backend", ["reference", "numba"])
+def test_boxes_follow_steps_on_the_whole_map(cloud, generator, backend):
+    model, boxes = GaussianModel(0), Boxes()
+    model.extend(cloud)
+    gradients = dataclasses.replace(cloud, xyz_W=torch.randn(len(cloud), 3, generator=generator))
+    T_WC = torch.eye(4)
+    before = chosen(boxes, model.params, T_WC)
+    for _ in range(3):
+        with use_backend(backend):
+            adam_step(model, gradients, OptimConfig(lr_xyz=0.03, adam_steps="none"))
+        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+    assert not torch.equal(chosen(boxes, model.params, T_WC), before)
 
 
 COARSE = {"tsdf__voxel_size_m": 0.08}
