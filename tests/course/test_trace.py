@@ -10,7 +10,8 @@ import torch
 
 from gsfusion_nb import GSFusion, gsfusion, rtg_slam
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.course.trace import PixelFused, PixelSeeded, Trace, tracing
+from gsfusion_nb.course.trace import Trace, tracing
+from gsfusion_nb.course.trace.operations import tensors_of
 from gsfusion_nb.gaussians import Edit
 from gsfusion_nb.mapping import RTGSLAM
 from gsfusion_nb.optim import adam_update
@@ -70,27 +71,33 @@ def test_no_number_of_the_map_changes(traced):
     assert all(torch.equal(saved[name], other[name]) for name in other)
 
 
-def test_the_weights_of_a_pixel_sum_up_to_the_rendered_alpha_and_colour(traced):
-    _, trace, _ = traced
-    n = 0
-    for u, v in ((3, 4), (16, 12), (31, 23)):
-        for step in trace.pixel(u, v).steps:
-            n += len(step.ids)
-            assert float(step.weight.sum()) == pytest.approx(step.rendered_alpha, abs=1e-5)
-            torch.testing.assert_close(step.weight @ step.colour, step.rgb, atol=1e-5, rtol=0)
-            torch.testing.assert_close(step.weight, step.alpha * step.transmittance)
-            assert (step.depth_m.diff() >= 0).all()
-    assert n > 30
+def parts_of_a_step(trace, serial):
+    """What each Gaussian adds to the picture of a step: number -> (weight [H, W], colour), and that picture."""
+    parts, image = {}, None
+    for i in range(trace.identities.count):
+        for step in (s for s in trace.gaussian(id=i).steps if s.serial == serial):
+            weight, image = torch.zeros(24, 32), step.image
+            for tile in step.tiles:
+                x, y, w, h = tile.box
+                u, v = tile.pixels.unbind(1)
+                assert ((u >= x) & (u < x + w) & (v >= y) & (v < y + h)).all()
+                torch.testing.assert_close(tile.weight, tile.alpha * tile.transmittance)
+                weight[v, u] = tile.weight
+            parts[i] = weight, step.rgb
+    return parts, image
 
 
-def test_the_reference_tells_what_it_blends(frames):
+@pytest.mark.parametrize("backend", ["auto", "reference"])
+def test_the_weights_of_all_gaussians_make_the_picture_and_a_click_finds_the_largest(frames, backend):
     mapper = GSFusion(settings())
-    with use_backend("reference"), tracing(mapper) as trace:
+    with use_backend(backend), tracing(mapper) as trace:
         mapper.step(frames[0])
-    steps = trace.pixel(16, 12).steps
-    assert len(steps) == mapper.gaussians.step_count > 0
-    for step in steps:
-        assert float(step.weight.sum()) == pytest.approx(step.rendered_alpha, abs=1e-5)
+    last = trace.gaussian(id=0).steps[-1].serial
+    parts, image = parts_of_a_step(trace, last)
+    torch.testing.assert_close(sum(w[..., None] * c for w, c in parts.values()), image, atol=1e-5, rtol=0)
+    ids, weights = list(parts), torch.stack([w for w, _ in parts.values()])
+    for u, v in ((3, 4), (16, 12), (31, 23)):
+        assert trace.gaussian_at(u, v) == trace.gaussian_at(u, v, last) == ids[int(weights[:, v, u].argmax())]
 
 
 def test_adam_gives_the_next_value(traced):
@@ -135,16 +142,21 @@ def test_the_gradient_is_that_of_the_mapper(frames):
             assert torch.equal(a.gradient, gradients[name][5])
 
 
-def test_the_pixels_of_a_gaussian_are_the_gaussians_of_the_pixels(traced):
-    _, trace, _ = traced
-    step = trace.gaussian(4).steps[0]
-    tile = max(step.tiles, key=lambda t: len(t.weight))
-    for k in range(0, len(tile.weight), 25):
-        u, v = tile.pixels[k].tolist()
-        of_pixel = next(s for s in trace.pixel(u, v).steps if s.serial == step.serial)
-        at = of_pixel.ids.tolist().index(4)
-        for name in ("alpha", "transmittance", "weight"):
-            assert float(getattr(of_pixel, name)[at]) == pytest.approx(float(getattr(tile, name)[k]), rel=1e-6)
+def test_steps_on_a_part_of_a_large_map_are_recorded(frames, monkeypatch):
+    monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
+    monkeypatch.setattr(in_view, "CHUNK", 16)
+    turned = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
+    mapper = GSFusion(settings())
+    with tracing(mapper) as trace:
+        mapper.step(frames[0])
+        mapper.step(dataclasses.replace(frames[1], T_WC=turned))
+    steps = [trace.gaussian(row).steps for row in range(len(mapper.gaussians))]
+    for row, (*_, last) in enumerate(steps):
+        assert last.row == row
+        assert torch.equal(last.adam["xyz_W"].after, mapper.gaussians.params.xyz_W[row])
+    serials = [{step.serial for step in of_row} for of_row in steps]
+    assert set.union(*serials) > serials[0]
+    assert set.union(*serials) > serials[-1]
 
 
 def test_steps_on_a_part_of_a_large_map_are_recorded(frames, monkeypatch):
@@ -168,12 +180,12 @@ def test_a_voxel_has_the_values_of_the_volume(frames):
     trace = Trace(mapper)
     for frame in frames[:3]:
         mapper.step(frame)
-    fused = next(m for m in trace.pixel(16, 12).moments if isinstance(m, PixelFused))
-    assert len(fused.voxels) > 3
-    for voxel in fused.voxels:
-        moments = trace.voxel(*voxel.ijk).moments
+    x, y, z = trace.voxel_at(16, 12, serial=0)
+    assert abs(trace.voxel(x, y, z).moments[0].z_m - float(frames[0].depth_m[12, 16])) < 0.08
+    for k in range(-2, 3):
+        moments = trace.voxel(x, y, z + k).moments
         assert [m.frame_index for m in moments] == [f.index for f in frames[:3]]
-        centre = (torch.tensor([voxel.ijk]) + 0.5) * mapper.config.tsdf.voxel_size_m
+        centre = (torch.tensor([[x, y, z + k]]) + 0.5) * mapper.config.tsdf.voxel_size_m
         now = mapper.volume.sample_nearest(centre)
         assert (moments[-1].D[1], moments[-1].W[1]) == (float(now.D), float(now.W))
         for before, after in itertools.pairwise(moments):
@@ -191,29 +203,31 @@ def test_the_birth_of_a_gaussian_is_its_cell(traced, frames):
     x, y, w, h, level = born.cell
     assert born.uv == pytest.approx((x + w / 2, y + h / 2), abs=1e-3)
     assert level == born.tag == int(mapper.gaussians.tag[0])
-    u, v = (int(c) for c in born.uv)
-    seeded = next(m for m in trace.pixel(u, v).moments if isinstance(m, PixelSeeded))
-    assert seeded.cell == born.cell
-    assert seeded.seeds == (0,)
+    seeded = trace.gaussian(0).moments[0]
+    assert seeded.boxes == {"cell": [(x, y, w, h)], "pixel": [(int(born.uv[0]), int(born.uv[1]), 1, 1)]}
+    assert seeded.image is frames[0].colour
 
 
 def test_memory_stays_within_the_limit_and_what_was_picked_stays(frames, traced):
     whole = traced[1]
     mapper = GSFusion(settings())
     trace = Trace(mapper, memory_bytes=100_000)
-    trace.pixel(16, 12)
+    voxel = whole.voxel_at(16, 12, serial=0)
+    trace.voxel(*voxel)
     for frame in frames[:4]:
         mapper.step(frame)
-        newest = max(sum(t.untyped_storage().nbytes() for t in r.tensors()) for r in trace._held)
+        newest = max(sum(t.untyped_storage().nbytes() for t in tensors_of([r])) for r in trace._held)
         assert trace.memory_bytes <= max(100_000, newest)
         trace.gaussian(id=2)  # picked after the first frame
     assert trace.n_dropped > 10
-    kept, all_steps = trace.pixel(16, 12).steps, [s for s in whole.pixel(16, 12).steps if s.stage != "passes"]
-    assert [s.serial for s in kept] == [s.serial for s in all_steps]
-    for a, b in zip(kept, all_steps, strict=True):
-        assert torch.equal(a.ids, b.ids)
-        assert torch.equal(a.weight, b.weight)
-    assert any(m.image is None for m in trace.pixel(16, 12).moments)
+    kept, every = trace.voxel(*voxel).moments, whole.voxel(*voxel).moments
+    assert [(m.serial, m.D, m.W) for m in kept] == [(m.serial, m.D, m.W) for m in every]
+    assert kept[0].image is None
+    kept, every = ([s for s in t.gaussian(id=2).steps if s.frame_index] for t in (trace, whole))
+    assert [s.serial for s in kept] == [s.serial for s in every]
+    for a, b in zip(kept, every, strict=True):
+        assert torch.equal(a.adam["xyz_W"].after, b.adam["xyz_W"].after)
+        assert a.weight == b.weight
     assert "no longer held" in str(trace.gaussian(id=2))
     assert trace.gaussian(id=2).birth.cell == whole.gaussian(id=2).birth.cell
 
@@ -300,18 +314,21 @@ def test_wrong_questions_are_refused(traced):
         trace.gaussian(id=10**6)
     with pytest.raises(ValueError, match="either the row"):
         trace.gaussian()
+    with pytest.raises(ValueError, match="no Gaussian is known"):
+        trace.gaussian_at(32, 0)
+    with pytest.raises(ValueError, match="no voxel is known"):
+        trace.voxel_at(0, 24)
 
 
 def test_every_moment_has_a_text_and_a_line_of_code(traced):
     _, trace, _ = traced
-    moments = [*trace.gaussian(3).moments, *trace.pixel(16, 12).moments]
-    voxel = next(m for m in moments if isinstance(m, PixelFused)).voxels[0]
-    for moment in [*moments, *trace.voxel(*voxel.ijk).moments]:
+    voxel = trace.voxel(*trace.voxel_at(16, 12))
+    for moment in [*trace.gaussian(3).moments, *voxel.moments]:
         place, code = moment.source_line()
         assert place.startswith("gsfusion_nb/")
         assert code in str(moment)
     assert str(trace.gaussian(3)).count("\n") > 10
-    assert "W after" in str(trace.voxel(*voxel.ijk))
+    assert "W after" in str(voxel)
 
 
 def test_of_another_system_seeds_are_recorded(frames):

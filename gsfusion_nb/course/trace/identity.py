@@ -9,8 +9,12 @@ from torch import Tensor
 
 from ...gaussians import Edit
 from ...geometry import project, se3
-from ...types import Camera, Seeds
-from .records import SeedingRecord
+from ...types import Camera, Frame, Seeds
+
+
+def when(frame_index: int | None) -> str:
+    """The frame in words; ``None``: one of the passes after the scan."""
+    return "after the scan" if frame_index is None else f"frame {frame_index}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,32 +62,7 @@ class Event:
     ids: tuple[int, ...]
 
     def __str__(self) -> str:
-        return f"{'after the scan' if self.frame_index is None else f'frame {self.frame_index}'}: {self.what}"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Group:
-    first: int
-    cause: str
-    frame_index: int | None
-    step: int
-    rule: str
-    tag: Int[Tensor, " n"]
-    parent: Int[Tensor, " n"] | None = None
-    uv: Float[Tensor, "n 2"] | None = None
-    cell: Int[Tensor, "n 5"] | None = None
-
-    def birth(self, i: int) -> Birth:
-        k, cell, uv = i - self.first, None, None
-        if self.cell is not None and int(self.cell[k, 2]) > 0:
-            x0, y0, width, height, level = self.cell[k].tolist()
-            cell = (x0, y0, width, height, level)
-        if self.uv is not None:
-            uv = (float(self.uv[k, 0]), float(self.uv[k, 1]))
-        return Birth(
-            id=i, cause=self.cause, frame_index=self.frame_index, step=self.step, rule=self.rule,
-            tag=int(self.tag[k]), parent=None if self.parent is None else int(self.parent[k]), uv=uv, cell=cell,
-        )  # fmt: skip
+        return f"{when(self.frame_index)}: {self.what}"
 
 
 class Identities:
@@ -94,14 +73,13 @@ class Identities:
 
     def __init__(self, model: Any):
         self.model = model
-        self.count = len(model)
-        self._groups: list[_Group] = []
+        self.count = 0
+        self._births: list[tuple[int, dict[str, Any], dict[str, Tensor]]] = []
+        """Of Gaussians with consecutive numbers: the first number, what they share, and what each has of its own."""
         self.events: list[Event] = []
         self._final: Int[Tensor, " N"] | None = None
-        if self.count:
-            first = {"first": 0, "cause": "before the trace", "frame_index": None, "step": 0, "rule": ""}
-            self._groups.append(_Group(**first, tag=model.tag.cpu().clone()))
-        model.trace_ids()[:] = torch.arange(1, self.count + 1, device=model.device)
+        model.trace_ids()  # from now on the map has the column, also while it is empty
+        self.number(torch.arange(len(model)), "before the trace", None, "")
 
     def now(self) -> Int[Tensor, " N"]:
         """Identity of each row, on the CPU; after ``close`` as it was then."""
@@ -118,23 +96,26 @@ class Identities:
         """How a Gaussian came into the map. Raises ``IndexError`` for a number that no Gaussian has."""
         if not 0 <= i < self.count:
             raise IndexError(f"no Gaussian has the number {i}; there have been {self.count}")
-        group = next(g for g in reversed(self._groups) if g.first <= i)
-        birth = group.birth(i)
-        return self._birth_before(birth) if birth.cause == "before the trace" else birth
+        first, shared, columns = next(births for births in reversed(self._births) if births[0] <= i)
+        own: dict[str, Any] = {name: column[i - first].tolist() for name, column in columns.items()}
+        own |= {name: tuple(values) for name, values in own.items() if isinstance(values, list)}
+        if "cell" in own and own["cell"][2] == 0:
+            own["cell"] = None
+        if shared["cause"] == "before the trace" and (row := self.row_of(i)) is not None:
+            own["frame_index"] = int(self.model.birth_frame[row])
+        return Birth(id=i, **shared | own)
 
     def of(self, i: int) -> list[Event]:
         """What happened to a Gaussian besides optimisation, in order."""
         return [event for event in self.events if i in event.ids]
 
-    def number(self, rows: Int[Tensor, " n"], cause: str, frame_index: int | None, rule: str, **more: Tensor) -> None:
-        """Give rows that are new, or copies, numbers of their own."""
+    def number(self, rows: Int[Tensor, " n"], cause: str, frame_index: int | None, rule: str, **own: Tensor) -> None:
+        """Give rows that are new, or copies, numbers of their own; ``own``: fields of ``Birth``, a row of each."""
         if not len(rows):
             return
         ids, tag = self.model.trace_ids(), self.model.tag[rows].cpu().clone()
-        step = self.model.step_count
-        self._groups.append(
-            _Group(first=self.count, cause=cause, frame_index=frame_index, step=step, rule=rule, tag=tag, **more)
-        )
+        shared = {"cause": cause, "frame_index": frame_index, "rule": rule, "step": self.model.step_count}
+        self._births.append((self.count, shared, {"tag": tag, **own}))
         ids[rows] = torch.arange(self.count + 1, self.count + len(rows) + 1, device=ids.device).to(ids)
         self.count += len(rows)
 
@@ -160,9 +141,8 @@ class Identities:
         now, split = self.now(), torch.zeros(0, dtype=torch.int64) if edit.split is None else edit.split.cpu()
         copies = ((origin.cpu() < 0) & (now < count)).nonzero()[:, 0]
         halves = torch.isin(now[copies], ids[split])
-        frame_index = numbers["frame_index"]
         for rows, cause in ((copies[~halves], "clone"), (copies[halves], "split")):
-            self.number(rows, cause, frame_index, rule, parent=now[rows])
+            self.number(rows, cause, numbers["frame_index"], rule, parent=now[rows])
         kept = torch.isin(ids, self.now())
         kept[split] = True
         happened = [("split in two", ids[split]), ("removed by the rule", ids[~kept])]
@@ -180,23 +160,16 @@ class Identities:
         self._final = self.now()
         self.model.end_trace()
 
-    def _birth_before(self, birth: Birth) -> Birth:
-        row = self.row_of(birth.id)
-        frame = None if row is None else int(self.model.birth_frame[row])
-        return Birth(**{**vars(birth), "frame_index": frame})
 
-
-def origin_of(record: SeedingRecord, seeds: Seeds) -> dict[str, Any]:
-    """Where each of n seeds comes from: the pixel [n, 2], and the quadtree leaf around it [n, 5] (width 0: none).
+def origin_of(frame: Frame, cells: Any, seeds: Seeds) -> dict[str, Tensor]:
+    """Where each of n seeds of a frame comes from: the pixel ``uv`` [n, 2], and the quadtree leaf around it, ``cell``
+    [n, 5] (width 0: none).
 
     A seed belongs to the pixel to which its centre projects.
     """
-    camera, xyz_W = record.frame.camera, seeds.xyz_W.cpu()
-    uv = project(camera, se3.apply(se3.inverse(record.frame.T_WC.cpu().double()), xyz_W.double())).float()
-    origin: dict[str, Any] = {"uv": uv}
-    if record.cells is not None:
-        origin["cell"] = _cells_around(record.cells, camera, uv)
-    return origin
+    T_CW = se3.inverse(frame.T_WC.cpu().double())
+    uv = project(frame.camera, se3.apply(T_CW, seeds.xyz_W.cpu().double())).float()
+    return {"uv": uv} if cells is None else {"uv": uv, "cell": _cells_around(cells, frame.camera, uv)}
 
 
 def _cells_around(cells: Any, camera: Camera, uv: Float[Tensor, "n 2"]) -> Int[Tensor, "n 5"]:

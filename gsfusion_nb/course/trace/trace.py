@@ -1,4 +1,4 @@
-"""Follow a pixel, a voxel or a Gaussian through everything that a mapper does to it.
+"""Follow a Gaussian or a voxel through everything that a mapper does to it.
 
 The operations that the mapper runs are turned into records, without changing them."""
 
@@ -13,16 +13,12 @@ from torch import Tensor
 
 from ...backends import observing
 from ...checks import check_whole
-from ...geometry import se3
-from ...optim import PartOfMap
-from ...optim.adam import ColumnRates
+from ...geometry import backproject, se3
 from ...seeding import rule_name
 from ...tsdf.integrate import blocks_in_view
-from ...types import GaussianParams
-from .gaussian import GaussianTrace, Moment, gaussian_moment, seeded
+from . import operations
 from .identity import Identities, origin_of
-from .pixel_and_voxel import PixelTrace, Voxel, VoxelFused, VoxelTrace, pixel_moment, voxel_moment
-from .records import AdamColumn, FusionRecord, Record, SeedingRecord, StepRecord, memory_of
+from .operations import FusionRecord, Moment, Record, SeedingRecord, StepRecord, Voxel
 
 Call = Callable[..., Any]
 
@@ -39,12 +35,7 @@ class Recorder:
     def __init__(self, mapper: Any, identities: Identities, add: Callable[[Record], None]):
         self.mapper, self.identities, self._add = mapper, identities, add
         self.serial = 0
-        self.frame_index: int | None = None
-        self._asking: dict[str, Any] | None = None
-        self._step: dict[str, Any] | None = None
-        self._seeding: SeedingRecord | None = None
-        self._editing = False
-        self._last: dict[str, AdamColumn] = {}
+        self._last: dict[str, list[Tensor]] = {}
         self._handlers = {
             "quadtree": self._quadtree,
             "apply_rule": self._apply_rule,
@@ -52,11 +43,11 @@ class Recorder:
             "apply_edit": self._apply_edit,
             "GSFusion._optimise_view": self._optimise_view,
             "render_forward": self._render_forward,
-            "render_vjp": self._render_vjp,
             "adam_step": self._adam_step,
             "adam_update_map": self._adam_update_map,
             "fuse_frame_": self._fuse_frame,
         }
+        self.begin(None)
 
     def __call__(self, name: str, f: Call, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
         """Run ``f`` and record what it did."""
@@ -66,7 +57,9 @@ class Recorder:
     def begin(self, frame_index: int | None) -> None:
         """A frame begins, or a step after the scan."""
         self.frame_index = frame_index
-        self._asking = self._step = self._seeding = None
+        self._cells: Any = None
+        self._step: dict[str, Any] | None = None
+        self._seeding: SeedingRecord | None = None
         self._editing = False
 
     def _next(self) -> dict[str, Any]:
@@ -74,19 +67,13 @@ class Recorder:
         return {"serial": self.serial - 1, "frame_index": self.frame_index}
 
     def _quadtree(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        cells = f(*args, **kwargs)
-        if self._asking is not None:
-            self._asking["cells"] = cells
+        self._cells = cells = f(*args, **kwargs)
         return cells
 
     def _apply_rule(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        rule, ctx = args[:2]
-        self._asking = {"cells": None}
-        try:
-            seeds = f(*args, **kwargs)
-        finally:
-            asked, self._asking = self._asking, None
-        self._seeding = SeedingRecord(**self._next(), frame=ctx.frame, rule=rule_name(rule), seeds=seeds, **asked)
+        self._cells = None
+        seeds = f(*args, **kwargs)
+        self._seeding = SeedingRecord(**self._next(), frame=args[1].frame, cells=self._cells, seeds=seeds)
         self._add(self._seeding)
         return seeds
 
@@ -96,12 +83,11 @@ class Recorder:
             return f(*args, **kwargs)
         before = len(model)
         out = f(*args, **kwargs)
-        asked = self._seeding
-        mine = asked is not None and asked.seeds is seeds and len(seeds) > 0
-        rule = rule_name(self.mapper.rule)
-        more = origin_of(asked, seeds) if mine and asked is not None else {}
-        cause = "added by the rule" if self._editing else "seed"
-        self.identities.number(torch.arange(before, len(model)), cause, self.frame_index, rule, **more)
+        asked, own = self._seeding, {}
+        if asked is not None and asked.seeds is seeds and len(seeds) > 0:
+            own = origin_of(asked.frame, asked.cells, seeds)
+        rule, cause = rule_name(self.mapper.rule), "added by the rule" if self._editing else "seed"
+        self.identities.number(torch.arange(before, len(model)), cause, self.frame_index, rule, **own)
         return out
 
     def _apply_edit(self, f: Call, args: tuple, kwargs: dict) -> Any:
@@ -122,12 +108,11 @@ class Recorder:
         mapper, view = args[:2]
         if mapper is not self.mapper:
             return f(*args, **kwargs)
-        target = view.colour if hasattr(view, "colour") else view.rgb_u8
-        self._step = {"view_index": view.index, "target": target, "ids": self.identities.now()} | self._next()
+        ids = self.identities.now()
+        self._step = step = {"ids": ids, "rows": torch.arange(len(ids)), "rates": {}, "t": None} | self._next()
         loss, mse = f(*args, **kwargs)
-        step, self._step = self._step, None
+        self._step, at = None, view.index
         if "screen" in step and "adam" in step:
-            at = step.pop("view_index")
             stage = "passes" if self.frame_index is None else "frame" if at == self.frame_index else "keyframe"
             self._add(StepRecord(stage=stage, view_index=at, loss=loss, **step))
         return loss, mse
@@ -135,81 +120,68 @@ class Recorder:
     def _render_forward(self, f: Call, args: tuple, kwargs: dict) -> Any:
         output, saved = f(*args, **kwargs)
         if self._step is not None and "screen" not in self._step:
-            self._step |= {"screen": saved.screen, "rgb": output.rgb, "alpha": output.alpha, "camera": args[1]}
+            self._step |= {"screen": saved.screen, "rgb": output.rgb, "camera": args[1]}
         return output, saved
-
-    def _render_vjp(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        if self._step is not None and len(args) > 1:
-            self._step["v_rgb"] = args[1]
-        return f(*args, **kwargs)
 
     def _adam_step(self, f: Call, args: tuple, kwargs: dict) -> Any:
         model, gradients = args[:2]
-        part = model if isinstance(model, PartOfMap) else None
-        if self._step is None or (model if part is None else part.model) is not self.mapper.gaussians:
+        whole = getattr(model, "model", model)  # of a large map a part is moved
+        if self._step is None or whole is not self.mapper.gaussians:
             return f(*args, **kwargs)
-        rows = torch.arange(len(self._step["ids"])) if part is None else part.rows.cpu()
-        self._step |= {"rows": rows, "ids": self._step["ids"][rows]}
-        moments = (model.params, model.exp_avg, model.exp_avg_sq)
-        before = [self._shared(_copies(rows), kind) for rows, kind in zip(moments, _KINDS, strict=True)]
+        if whole is not model:
+            rows = model.rows.cpu()
+            self._step |= {"rows": rows, "ids": self._step["ids"][rows]}
+        before = _copies(model)
+        for name, last in self._last.items():  # what did not change since the last step is held once
+            before[name] = [b if torch.equal(a, b) else a for a, b in zip(before[name], last, strict=True)]
         out = f(*args, **kwargs)
-        after = [_copies(rows) for rows in moments]
-        self._step["adam"] = self._last = {
-            name: AdamColumn(
-                before=before[0][name], gradient=gradient, m_before=before[1][name], v_before=before[2][name],
-                after=after[0][name], m_after=after[1][name], v_after=after[2][name],
-            )
-            for name, gradient in vars(gradients).items()
-        }  # fmt: skip
+        self._last = after = _copies(model)
+        self._step["adam"] = columns = {}
+        rates = self._step.pop("rates")
+        for name, gradient in vars(gradients).items():
+            (p0, m0, v0), (p1, m1, v1) = before[name], after[name]
+            lr = rates.get(name, float("nan"))  # NaN: another function than Adam takes the step
+            columns[name] = operations.AdamColumn(before=p0, gradient=gradient, m=(m0, m1), v=(v0, v1), after=p1, lr=lr)
         return out
 
     def _adam_update_map(self, f: Call, args: tuple, kwargs: dict) -> Any:
         if self._step is not None:
-            rates: ColumnRates = kwargs["rates"]
             t = args[4]
-            self._step["rates"] = rates.by_column(args[0].sh)
+            self._step["rates"] = kwargs["rates"].by_column(args[0].sh)
             self._step["t"] = t.clone() if isinstance(t, Tensor) else t
         return f(*args, **kwargs)
-
-    def _shared(self, values: dict[str, Tensor], kind: str) -> dict[str, Tensor]:
-        """The values, as the tensors that the last step ended with where these are equal: they are then held once."""
-        out = {}
-        for name, value in values.items():
-            last = getattr(self._last[name], kind) if name in self._last else None
-            out[name] = last if last is not None and torch.equal(last, value) else value
-        return out
 
     def _fuse_frame(self, f: Call, args: tuple, kwargs: dict) -> Any:
         volume, frame = args[:2]
         if volume is not getattr(self.mapper, "volume", None):
             return f(*args, **kwargs)
         rows = blocks_in_view(volume, frame.camera, se3.inverse(frame.T_WC.double()))
-        before = volume.D[rows], volume.W[rows]
+        D, W = volume.D[rows], volume.W[rows]
         out = f(*args, **kwargs)
         self._add(
             FusionRecord(
                 **self._next(), frame=frame, config=volume.config, coords=volume.block_coords[rows].clone(),
-                D_before=before[0], W_before=before[1], D_after=volume.D[rows], W_after=volume.W[rows],
+                D=(D, volume.D[rows]), W=(W, volume.W[rows]),
             )
         )  # fmt: skip
         return out
 
 
-_KINDS = ("after", "m_after", "v_after")
-
-
-def _copies(params: GaussianParams) -> dict[str, Tensor]:
-    return {name: value.clone() for name, value in vars(params).items()}
+def _copies(model: Any) -> dict[str, list[Tensor]]:
+    """Parameter -> copies of its values, of m and of v."""
+    groups = (model.params, model.exp_avg, model.exp_avg_sq)
+    return {name: [getattr(group, name).clone() for group in groups] for name in vars(model.params)}
 
 
 MEMORY_BYTES = 256 * 2**20
 """Usual limit of what a trace holds."""
 
-Pick = tuple[str, tuple[int, ...]]
+Pick = int | Voxel
+"""The number of a Gaussian, or a voxel."""
 
 
 class Trace:
-    """Records what a mapper computes from now on, and answers for one pixel, voxel or Gaussian.
+    """Records what a mapper computes from now on, and answers for one Gaussian or voxel.
 
     The operations of the mapper are observed while they run: their arguments and results are held, and a copy of what
     they change in place. No number of the map changes. The newest operations are held, up to ``memory_bytes``; from the
@@ -251,9 +223,9 @@ class Trace:
     @property
     def memory_bytes(self) -> int:
         """Memory of the operations that are held, bytes."""
-        return memory_of(self._held)
+        return operations.memory_of(self._held)
 
-    def gaussian(self, row: int | None = None, *, id: int | None = None) -> GaussianTrace:
+    def gaussian(self, row: int | None = None, *, id: int | None = None) -> operations.GaussianTrace:
         """The Gaussian in a row of the map as it is now, or the one with a number (also one that has left the map).
 
         Raises:
@@ -267,32 +239,61 @@ class Trace:
                 raise IndexError(f"row must be between 0 and {len(ids) - 1}, got {row}")
             id = int(ids[row])
         birth = self.identities.birth(id)
-        moments = self._moments(("gaussian", (id,)))
+        moments: list[Moment] = self._moments(id)
         if birth.cause != "before the trace":
-            moments = [seeded(self._seeding_of(birth.frame_index), birth), *moments]
-        return GaussianTrace(
+            held = (r for r in self._held if isinstance(r, SeedingRecord) and r.frame_index == birth.frame_index)
+            of = next(held, None)
+            picture = {} if of is None else {"camera": of.frame.camera, "image": of.frame.colour}
+            serial = -1 if of is None else of.serial
+            seeded = {"serial": serial, "frame_index": birth.frame_index, "birth": birth, **picture}
+            moments.insert(0, operations.GaussianSeeded(**seeded))
+        return operations.GaussianTrace(
             id=id, row=self.identities.row_of(id), birth=birth, moments=tuple(moments),
             events=tuple(self.identities.of(id)), n_dropped=self.n_dropped,
         )  # fmt: skip
 
-    def pixel(self, u: int, v: int) -> PixelTrace:
-        """The pixel in column ``u`` and row ``v`` of every frame and every rendered view."""
-        check_whole("u", u, 0)
-        check_whole("v", v, 0)
-        moments = self._moments(("pixel", (u, v)))
-        return PixelTrace(u=u, v=v, moments=tuple(moments), n_dropped=self.n_dropped)
-
-    def voxel(self, x: int, y: int, z: int) -> VoxelTrace:
+    def voxel(self, x: int, y: int, z: int) -> operations.VoxelTrace:
         """The voxel with these integer coordinates (``volume.voxel_index(xyz_W)``)."""
         ijk: Voxel = (x, y, z)
         fused, D, W = [], 1.0, 0.0
-        for moment in self._moments(("voxel", ijk)):
-            assert isinstance(moment, VoxelFused)
+        for moment in self._moments(ijk):
             if not moment.allocated:  # not in view: it keeps its values
                 moment = dataclasses.replace(moment, D=(D, D), W=(W, W))
             D, W = moment.D[1], moment.W[1]
             fused.append(moment)
-        return VoxelTrace(ijk=ijk, moments=tuple(fused), n_dropped=self.n_dropped)
+        return operations.VoxelTrace(ijk=ijk, moments=tuple(fused), n_dropped=self.n_dropped)
+
+    def gaussian_at(self, u: int, v: int, serial: int | None = None) -> int:
+        """Number of the Gaussian with the largest weight at pixel (u, v): in the held step nearest to operation
+        ``serial`` that has one there, by default in the newest.
+
+        Raises:
+            ValueError: there is none.
+        """
+        for record in self._nearest(StepRecord, serial):
+            s = record.screen
+            if u < record.camera.width and v < record.camera.height:
+                blend = s.blend(s.tile_of(u, v), *torch.tensor([[u], [v]], device=s.uv.device))
+                if bool((blend.weight > 0).any()):
+                    return int(record.ids[int(blend.gaussian[blend.weight[:, 0].argmax()])])
+        raise ValueError(f"no Gaussian is known at pixel ({u}, {v})")
+
+    def voxel_at(self, u: int, v: int, serial: int | None = None) -> Voxel:
+        """The voxel of the surface measured at the centre of pixel (u, v): in the held frame nearest to operation
+        ``serial`` that has depth there, by default in the newest.
+
+        Raises:
+            ValueError: there is none.
+        """
+        for record in self._nearest(FusionRecord, serial):
+            frame = record.frame
+            if u < frame.camera.width and v < frame.camera.height and frame.depth_m[v, u] > 0:
+                uv = torch.tensor([u + 0.5, v + 0.5], dtype=torch.float64)
+                xyz_C = backproject(frame.camera, uv, frame.depth_m[v, u].cpu().double())
+                xyz_W = se3.apply(frame.T_WC.cpu().double(), xyz_C[None])[0]
+                x, y, z = (xyz_W / record.config.voxel_size_m).floor().long().tolist()
+                return x, y, z
+        raise ValueError(f"no voxel is known at pixel ({u}, {v})")
 
     def close(self) -> None:
         """Stop recording. What was recorded can still be asked for."""
@@ -300,10 +301,14 @@ class Trace:
             self.mapper.watch = self._usual
             self.identities.close()
 
-    def _moments(self, pick: Pick) -> list[Moment]:
+    def _nearest(self, kind: type, serial: int | None) -> list[Any]:
+        """The held records of a kind, the one nearest to an operation first; by default the newest first."""
+        at = self._recorder.serial if serial is None else serial
+        return sorted((r for r in self._held if isinstance(r, kind)), key=lambda r: abs(r.serial - at))
+
+    def _moments(self, pick: Pick) -> list[Any]:
         kept = self._picks.setdefault(pick, [])
-        found = [moment for record in self._held if (moment := _moment(record, pick)) is not None]
-        return [*kept, *found]
+        return [*kept, *(moment for record in self._held if (moment := _moment(record, pick)) is not None)]
 
     def _hold(self, record: Record) -> None:
         """Hold a record; of the oldest ones, if they are too large, only what concerns what was picked."""
@@ -313,11 +318,7 @@ class Trace:
             self.n_dropped += 1
             for pick, kept in self._picks.items():
                 if (moment := _moment(oldest, pick)) is not None:
-                    kept.append(moment.without_image())
-
-    def _seeding_of(self, frame_index: int | None) -> SeedingRecord | None:
-        held = (r for r in self._held if isinstance(r, SeedingRecord) and r.frame_index == frame_index)
-        return next(held, None)
+                    kept.append(dataclasses.replace(moment, image=None))  # it takes most of the memory
 
     @contextlib.contextmanager
     def _watch(self, frame_index: int | None) -> Iterator[None]:
@@ -336,13 +337,5 @@ def tracing(mapper: Any, **options: Any) -> Iterator[Trace]:
         trace.close()
 
 
-_OF: dict[str, Callable[..., Moment | None]] = {
-    "gaussian": gaussian_moment,
-    "pixel": pixel_moment,
-    "voxel": lambda record, *ijk: voxel_moment(record, ijk),
-}
-
-
 def _moment(record: Record, pick: Pick) -> Moment | None:
-    kind, numbers = pick
-    return _OF[kind](record, *numbers)
+    return operations.gaussian_moment(record, pick) if isinstance(pick, int) else operations.voxel_moment(record, pick)

@@ -15,12 +15,12 @@ def panel(make_run):
     steps = run.online()
     for _ in range(2):
         next(steps)
-    return TracePanel(trace), run.mapper
+    return TracePanel(trace, gaussian=0), run.mapper
 
 
 def test_a_panel_shows_every_moment_and_follows_clicks(panel):
     panel, _ = panel
-    assert panel.story.u == 24
+    assert panel.story.row == 0
     first = panel.picture()
     assert first.shape == (330, 440, 3)
     n = len(panel.story.moments)
@@ -31,7 +31,7 @@ def test_a_panel_shows_every_moment_and_follows_clicks(panel):
         assert "gsfusion_nb/" in panel.caption.value
     panel.press("Previous")
     assert panel.moment == n - 2
-    panel.set(follows="Gaussian").drag((30.5 * 440 / 48, 20.5 * 440 / 48))
+    panel.drag((30.5 * 440 / 48, 20.5 * 440 / 48))
     assert panel.story.id >= 0
     assert (panel.picture() != first).any()
     assert str(panel.story.id) in panel.caption.value
@@ -40,6 +40,8 @@ def test_a_panel_shows_every_moment_and_follows_clicks(panel):
     assert len(panel.story.ijk) == 3
     assert abs(panel.story.moments[0].z_m - 2.0) < 0.1
     assert "voxel" in panel.caption.value
+    with pytest.raises(ValueError, match="give one of"):
+        panel.look_at(pixel=(3, 4))
 
 
 def test_a_click_in_the_splat_viewer_follows_that_gaussian(panel):
