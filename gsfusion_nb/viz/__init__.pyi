@@ -17,13 +17,13 @@ from .panels.discs import disc_panel as disc_panel
 from .panels.discs import disc_scene as disc_scene
 from .panels.discs import disc_scene_picture as disc_scene_picture
 from .panels.discs import surface_panel as surface_panel
+from .panels.frames import displaced_pose as displaced_pose
 from .panels.frames import normal_colours as normal_colours
 from .panels.frames import point_panel as point_panel
 from .panels.frames import repair_panel as repair_panel
 from .panels.gradient_microscope import GradientMicroscope as GradientMicroscope
 from .panels.icp import basin_picture as basin_picture
 from .panels.icp import convergence_basin as convergence_basin
-from .panels.icp import displaced_pose as displaced_pose
 from .panels.icp import frame_surface as frame_surface
 from .panels.icp import icp_panel as icp_panel
 from .panels.icp import path_picture as path_picture

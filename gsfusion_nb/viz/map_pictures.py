@@ -11,19 +11,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..drawing import pictures as draw
 from ..drawing.curves import rgb_of
-from ..drawing.pictures import (
-    AnyImage,
-    Picture,
-    colour_depth,
-    colour_stops,
-    depth_error_map,
-    depth_range_m,
-    error_map,
-    paint_cells,
-    side_by_side,
-    to_uint8,
-)
+from ..drawing.pictures import AnyImage, Picture, paint_cells, side_by_side, to_uint8
 from ..evaluation import expected_depth_m
 from ..gaussians import GaussianModel, SurfelModel
 from ..geometry import project, se3
@@ -54,7 +44,7 @@ PALETTES = ("turbo", "viridis", "state")
 def palette(name: str) -> np.ndarray:
     """The 256 colours of a palette, bytes. [256, 3]"""
     if name != "state":
-        return np.array([rgb_of(stop) for stop in colour_stops(name, 256)], np.uint8)
+        return np.array([rgb_of(stop) for stop in draw.colour_stops(name, 256)], np.uint8)
     return np.repeat([STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"]], 128, axis=0).astype(np.uint8)
 
 
@@ -119,8 +109,8 @@ def map_picture(
 def depth_picture(view: RenderOutput) -> Picture:
     """Expected depth of a rendered view as colour, with its scale."""
     depth = expected_depth_m(view)
-    near, far = depth_range_m(depth)
-    return _with_scale(colour_depth(depth, near, far), palette("turbo"), f"{near:.1f} m", f"{far:.1f} m")
+    near, far = draw.depth_range_m(depth)
+    return _with_scale(draw.colour_depth(depth, near, far), palette("turbo"), f"{near:.1f} m", f"{far:.1f} m")
 
 
 def _with_scale(picture: Picture, colours: np.ndarray, low: str, high: str) -> Picture:
@@ -195,8 +185,6 @@ def paint_points(picture: Picture, uv: Float[Tensor, "N 2"], ink: tuple[int, ...
             picture[y[inside], x[inside]] = ink
 
 
-_DEPTH_ERROR_M = 0.1
-"""Depth error at the end of the colour scale, metres: RTG-SLAM's delta_d, above which a pixel counts as wrong."""
 SEED_COLOUR = (255, 48, 64)
 
 
@@ -229,7 +217,7 @@ def _quadtree_seeds(step: MappedFrame) -> Picture:
 
 
 def _depth_error(step: MappedFrame) -> Picture:
-    return depth_error_map(expected_depth_m(step.output), step.frame.depth_m, limit_m=_DEPTH_ERROR_M)
+    return draw.depth_error_map(expected_depth_m(step.output), step.frame.depth_m)
 
 
 def _states(step: MappedFrame) -> Picture:
@@ -239,7 +227,7 @@ def _states(step: MappedFrame) -> Picture:
 PANELS: dict[str, tuple[str, Callable[[MappedFrame], Picture]]] = {
     "input": ("photograph", lambda step: step.photo),
     "render": ("Gaussian map, rendered", lambda step: step.rendered),
-    "error": ("|render − photograph|, bright from 0.25", lambda step: error_map(step.rendered, step.photo)),
+    "error": ("|render − photograph|, bright from 0.25", lambda step: draw.error_map(step.rendered, step.photo)),
     "depth_error": ("|rendered depth − depth|, bright from 10 cm", _depth_error),
     "base": ("the coloured TSDF alone, holes filled", lambda step: to_uint8(_below(step))),
     "residual": (

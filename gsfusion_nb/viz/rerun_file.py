@@ -16,6 +16,7 @@ from ..geometry import quaternion
 from ..geometry.upright import world_up
 from ..mapping import Mapper, StepReport
 from ..types import Camera, Frame, GaussianParams, Mesh
+from .splat_rows import finite_rows
 
 _UP = {(0, 0, 1): "RIGHT_HAND_Z_UP", (0, 1, 0): "RIGHT_HAND_Y_UP", (0, -1, 0): "RIGHT_HAND_Y_DOWN"}
 _DEPTH_STEPS_PER_M = 1000.0
@@ -115,7 +116,7 @@ def _splats(rr: Any, params: GaussianParams) -> Any:
     """Gaussians with natural values: standard deviations, opacities, colours of the constant coefficient."""
     from ..geometry.spherical_harmonics import SH_C0
 
-    params = params[torch.stack([c.reshape(len(params), -1).isfinite().all(1) for c in vars(params).values()]).all(0)]
+    params = params[finite_rows(params)]
     rgb = (params.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1)
     rgba = (torch.cat([rgb, params.opacity_logit.sigmoid()[:, None]], dim=1) * 255).round().to("cpu", torch.uint8)
     K = params.sh.shape[1] - 1

@@ -22,21 +22,10 @@ from ..drawing.pictures import Picture, to_uint8
 from ..geometry.upright import world_up
 from ..render.constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
 from ..types import Camera, GaussianParams, RenderOutput
+from . import splat_rows
 from .display import Bundle, front_end, source, static_views, synced, with_picture
 from .map_pictures import PALETTES, Paint, depth_picture, map_picture, palette
-from .splat_rows import (
-    Column,
-    GaussianRecord,
-    RowLayout,
-    columns_of,
-    finite_rows,
-    gaussian_record,
-    layout_for,
-    pack_rows,
-    packet_between,
-    stacked,
-    with_surface,
-)
+from .splat_rows import Column, GaussianRecord, RowLayout
 from .viewpoint import Vector, places_of, viewing_camera
 
 ENGINE = ("splats/rows", "projection", "splats/colour", "splats/raster", "splats/engine")
@@ -149,7 +138,7 @@ class SplatViewer(anywidget.AnyWidget):
         with self._lock:
             self._read()
             start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
-            places = places_of(self._params[finite_rows(self._params)], self.camera, start, up)
+            places = places_of(self._params[splat_rows.finite_rows(self._params)], self.camera, start, up)
         first = places["photo"].T_WC.flatten().tolist()
         c = self.camera
         super().__init__(
@@ -209,7 +198,7 @@ class SplatViewer(anywidget.AnyWidget):
         with self._lock:
             if self.picked is None or self.picked >= len(self._params):
                 return None
-            return gaussian_record(self._params, self._columns, self.picked)
+            return splat_rows.gaussian_record(self._params, self._columns, self.picked)
 
     def _show_record(self) -> None:
         """Names and values of the picked row, which the browser shows in the picture."""
@@ -221,7 +210,7 @@ class SplatViewer(anywidget.AnyWidget):
         with self._lock:
             if (view := self._surface_view()) is not None:
                 return depth_picture(view) if self.colour_by == "depth" else to_uint8(view.rgb)
-            rows, T_WC = finite_rows(self._params), self.T_WC
+            rows, T_WC = splat_rows.finite_rows(self._params), self.T_WC
             if self.cut_m > 0:
                 to_W = T_WC.to(self._params.xyz_W)
                 rows &= (self._params.xyz_W - to_W[:3, 3]) @ to_W[:3, 2] > self.cut_m
@@ -271,10 +260,10 @@ class SplatViewer(anywidget.AnyWidget):
         if not isinstance(params, GaussianParams):
             kind = type(self._source).__name__
             raise TypeError(f"SplatViewer needs a mapper, a GaussianModel or GaussianParams, got {kind}")
-        columns, n = columns_of(held, len(params), self._extras), len(params)
+        columns, n = splat_rows.columns_of(held, len(params), self._extras), len(params)
         if _draws_surface(self._source):  # the surface as discs, behind the map's own rows
             params = self._source.standard_gaussians()
-            columns = with_surface(columns, n, len(params))
+            columns = splat_rows.with_surface(columns, n, len(params))
         self._params, self._columns = params, columns
 
     def _describe(self) -> None:
@@ -283,15 +272,15 @@ class SplatViewer(anywidget.AnyWidget):
             self.columns = [c.described() for c in self._columns]
             frames = [c for c in self._columns if c.kind == "frame" and len(c.values)]
             self.birth_range = list(frames[0].limits) if frames else []
-            bad = len(self._params) - int(finite_rows(self._params).sum())
+            bad = len(self._params) - int(splat_rows.finite_rows(self._params).sum())
             self.notice = f"{bad:,} of the rows hold NaN or infinite numbers and are not drawn" if bad else ""
 
     def _refresh(self) -> None:
         with self._lock, self._sending:  # always in this order: a caller of `update` may hold the first already
             self._timer = None
             self._read()
-            layout = layout_for(self._params, len(self._columns))
-            records = pack_rows(self._params, stacked(self._columns, len(self._params)), layout)
+            layout = splat_rows.layout_for(self._params, len(self._columns))
+            records = splat_rows.pack_rows(self._params, splat_rows.stacked(self._columns, len(self._params)), layout)
             self._describe()
             self._last_sent_s = time.monotonic()
             self._send_rows(records, layout)
@@ -308,7 +297,7 @@ class SplatViewer(anywidget.AnyWidget):
         """Send the rows that the front end does not have; all rows if it has not answered (a cell may be running)."""
         if not (self._listening or self._displayed):
             return
-        packet = packet_between(self._sent if self._listening else None, records)
+        packet = splat_rows.packet_between(self._sent if self._listening else None, records)
         self._sent = records
         if packet is not None:
             index, rows = packet

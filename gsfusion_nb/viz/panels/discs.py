@@ -216,14 +216,17 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
             view, frame, min_transmittance=min_transmittance, depth_error_m=depth_error_m, colour_error=colour_error
         )
         picture = np.repeat(0.25 * 255 + 0.5 * photo.mean(-1, keepdims=True), 3, axis=-1)
+        count, rows = Markup('<span class="gsnb-adding-{}">{:,} pixels</span>'), []
         for cause, mask in masks.items():
+            share = f"{float(mask.float().mean()):.1%}"
+            rows.append((CAUSES[cause][0], count.format(cause, int(mask.sum())), share))
             picture[mask.numpy()] = 0.35 * picture[mask.numpy()] + 0.65 * np.array(CAUSES[cause][1])
         pictures = [photo, rendered, error_map(rendered, photo), picture.astype(np.uint8)]
         k = max(1, round(300 / picture.shape[1]))
         pictures = [p.repeat(k, 0).repeat(k, 1) for p in pictures]
         top = side_by_side(pictures[:2], ["new frame", "map so far"])
         low = side_by_side(pictures[2:], ["colour error", "green new, red depth, blue colour"])
-        return np.concatenate([top, low]), _mask_words(masks)
+        return np.concatenate([top, low]), html_table(rows)
 
     controls = {
         "min_transmittance": Slider(value=0.5, low=0.05, high=0.95, step=0.05, label="δ_T"),
@@ -231,14 +234,6 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
         "colour_error": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_c"),
     }
     return Panel(draw, controls, name="adding", text="the masks of Eq. 6")
-
-
-def _mask_words(masks: dict[int, Tensor]) -> str:
-    count = Markup('<span class="gsnb-adding-{}">{:,} pixels</span>')
-    return html_table(
-        (CAUSES[cause][0], count.format(cause, int(mask.sum())), f"{float(mask.float().mean()):.1%}")
-        for cause, mask in masks.items()
-    )
 
 
 def surface_panel(

@@ -73,9 +73,7 @@ def normal_colours(normal: Float[Tensor, "H W 3"]) -> Picture:
 
 
 def point_colours(frame: Frame, show: str) -> Picture:
-    """The colours that ``point_view`` gives to the frame's pixels."""
-    if show not in POINT_COLOURS:
-        raise ValueError(f"show must be one of {', '.join(POINT_COLOURS)}, got {show!r}")
+    """The colours that ``point_view`` gives to the frame's pixels; ``show`` is one of ``POINT_COLOURS``."""
     if show == "colour":
         return to_uint8(frame.colour)
     if show == "depth":
@@ -83,19 +81,21 @@ def point_colours(frame: Frame, show: str) -> Picture:
     return normal_colours(depth_to_normals(frame.camera, frame.depth_m))
 
 
-def moved_pose(
-    T_WC: Float[Tensor, "4 4"], offset_C_m: tuple[float, float, float], turn_deg: float | int
+def displaced_pose(
+    T_WC: Float[Tensor, "4 4"], sideways_m: float | int, turn_deg: float | int, forward_m: float | int = 0.0
 ) -> Float[Tensor, "4 4"]:
-    """The pose after a step along the camera's own axes, then a turn about its y axis.
+    """The pose after a step along the camera's own axes, then a turn about its vertical axis, float64.
 
     Args:
         T_WC: Where it starts.
-        offset_C_m: Right, down, forward, metres.
+        sideways_m: To the right, metres.
         turn_deg: To the right, degrees.
+        forward_m: Along the viewing direction, metres.
     """
-    step, turn = torch.zeros(6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
-    step[:3], turn[4] = torch.tensor(offset_C_m, dtype=torch.float64), math.radians(turn_deg)
-    return (T_WC.double() @ se3.exp(step) @ se3.exp(turn)).float()
+    turn = torch.tensor([0.0, 0.0, 0.0, 0.0, math.radians(turn_deg), 0.0], dtype=torch.float64)
+    step = torch.eye(4, dtype=torch.float64)
+    step[0, 3], step[2, 3] = float(sideways_m), float(forward_m)
+    return T_WC.double() @ step @ se3.exp(turn)
 
 
 def point_panel(frame: Frame) -> Panel:
@@ -112,7 +112,7 @@ def point_panel(frame: Frame) -> Panel:
     }
 
     def draw(*, u: int, v: int, right_m: float, forward_m: float, turn_deg: float, show: str, point_px: int) -> Drawn:
-        T_WC = moved_pose(frame.T_WC, (right_m, 0.0, forward_m), turn_deg)
+        T_WC = displaced_pose(frame.T_WC, right_m, turn_deg, forward_m).float()
         picture = point_view(frame, T_WC, colours=colours(show), point_px=point_px)
         empty = 1 - float(((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0).mean())
         place, about = pixel_story(frame, T_WC, u, v)

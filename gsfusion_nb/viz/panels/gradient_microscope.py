@@ -21,24 +21,9 @@ from ...optim import l1_vjp
 from ...render import composite, composite_vjp, tile_intersections
 from ...render.constants import ALPHA_MAX
 from ...types import Camera, GaussianParams
+from . import pixel_stack as stacks
 from .panel import Choice, Drawn, Panel, pixel_sliders, touched_pixel
-from .pixel_stack import (
-    INK,
-    TABLE_ROWS,
-    Blend,
-    PixelStack,
-    Splats,
-    blend_at,
-    blend_pixel,
-    draw_ellipses,
-    lens_figure,
-    numbers_table,
-    project_splats,
-    resize_to_height,
-    stack_of,
-    swatch,
-    with_cross,
-)
+from .pixel_stack import Blend, PixelStack, Splats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,8 +66,8 @@ def pixel_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], u: int, v: int
         splats: The Gaussians on the screen.
         v_rgb: dL/d of the rendered image.
     """
-    blend = blend_pixel(splats, u, v)
-    stack = stack_of(splats, blend, u, v)
+    blend = stacks.blend_pixel(splats, u, v)
+    stack = stacks.stack_of(splats, blend, u, v)
     v_C = v_rgb[v, u].to(stack.rgb)
     v_alpha, v_uv = blend_vjp(splats, blend, v_C[None])
     return PixelGradient(
@@ -132,7 +117,7 @@ def gaussian_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], row: int) -
     y = torch.arange(int(first[1]), int(last[1]) + 1, stride, device=low.device) + 0.5
     v, u = torch.meshgrid(y, x, indexing="ij")
     uv = torch.stack([u, v], -1).to(p.uv)
-    blend = blend_at(splats, uv.view(-1, 2))
+    blend = stacks.blend_at(splats, uv.view(-1, 2))
     v_C = v_rgb[v.long(), u.long()].view(-1, 3).to(p.uv)
     v_alpha, v_uv = blend_vjp(splats, blend, v_C)
     mine = (blend.row == row).to(p.uv)  # all zero if no pixel of the grid sees it
@@ -153,13 +138,13 @@ def pixel_gradient_table(gradient: PixelGradient, unit: float | int) -> str:
     s = gradient.stack
     heads = ("k", "row", "w", "dL/dα", "descent makes it", "dL/do", "dL/du", "dL/dv", "c now", "dL/dr, dL/dg, dL/db")
     lines = []
-    for k in s.weight.argsort(descending=True)[:TABLE_ROWS].sort().values.tolist():
+    for k in s.weight.argsort(descending=True)[: stacks.TABLE_ROWS].sort().values.tolist():
         a, o, u, v = (float(x) / unit for x in (gradient.v_alpha[k], gradient.v_opacity[k], *gradient.v_uv[k]))
         wish = "no change" if abs(a) < 1e-9 else ("more opaque" if a < 0 else "less opaque")
         rgb = " ".join(f"{x:+.3f}" for x in (gradient.v_rgb[k] / unit).tolist())
         numbers = (f"{a:+.3f}", wish, f"{o:+.3f}", f"{u:+.3f}", f"{v:+.3f}")
-        lines.append((str(k), str(int(s.row[k])), f"{float(s.weight[k]):.3f}", *numbers, swatch(s.rgb[k]), rgb))
-    return numbers_table(heads, lines, n=len(s))
+        lines.append((str(k), str(int(s.row[k])), f"{float(s.weight[k]):.3f}", *numbers, stacks.swatch(s.rgb[k]), rgb))
+    return stacks.numbers_table(heads, lines, n=len(s))
 
 
 MORE, LESS = "#1a7f37", "#c62828"
@@ -176,9 +161,9 @@ def pixel_gradient_picture(image: AnyImage, splats: Splats, gradient: PixelGradi
     top = s.weight.argsort(descending=True)[:_SHOWN]
     uv = splats.projection.uv[s.row[top]].double().numpy()
     far = np.abs(uv - (s.u + 0.5, s.v + 0.5)).max(initial=0.0)
-    figure, axes = lens_figure(image, (s.u, s.v), int(min(max(far * 1.15 + 2, 6), 40)), size)
-    inks = [INK if x == 0 else MORE if x < 0 else LESS for x in gradient.v_alpha[top].tolist()]
-    draw_ellipses(axes, splats, s.row[top], inks)
+    figure, axes = stacks.lens_figure(image, (s.u, s.v), int(min(max(far * 1.15 + 2, 6), 40)), size)
+    inks = [stacks.INK if x == 0 else MORE if x < 0 else LESS for x in gradient.v_alpha[top].tolist()]
+    stacks.draw_ellipses(axes, splats, s.row[top], inks)
     _arrows(axes, uv, -gradient.v_uv[top].double().numpy(), 0.16)
     return figure_picture(figure)
 
@@ -204,7 +189,7 @@ def gaussian_gradient_picture(
     shade = np.concatenate([colour, 0.85 * np.abs(strength)[..., None] ** 0.5], 2)
     axes.imshow(shade, extent=extent, interpolation="nearest", aspect="auto")
     axes.set(xlim=window[:2], ylim=window[:1:-1])
-    draw_ellipses(axes, splats, torch.tensor([gradient.row]), "white")
+    stacks.draw_ellipses(axes, splats, torch.tensor([gradient.row]), "white")
     step = -(-max(uv.shape[:2]) // 11)
     blocks = [np.s_[y : y + step, x : x + step] for y in range(0, len(uv), step) for x in range(0, uv.shape[1], step)]
     starts, pushes = (np.array([a[block].mean((0, 1)) for block in blocks]) for a in (uv, push))
@@ -216,7 +201,7 @@ def gaussian_gradient_picture(
 def _arrows(axes: "Axes", start: np.ndarray, push: np.ndarray, longest: float, **how: Any) -> None:
     """Arrows in the image; the longest has this share of the picture's width."""
     scale = max(float(np.linalg.norm(push, axis=1).max(initial=0.0)), 1e-30) / longest
-    looks = {"color": INK, "width": 0.009, "edgecolor": "white", "linewidth": 0.6, **how}
+    looks = {"color": stacks.INK, "width": 0.009, "edgecolor": "white", "linewidth": 0.6, **how}
     axes.quiver(*start.T, *push.T, angles="xy", scale_units="width", scale=scale, zorder=4, **looks)
 
 
@@ -278,14 +263,14 @@ class GradientMicroscope(Panel):
         else:
             lens = pixel_gradient_picture(self.rendered, self.splats, self.of_pixel, size=PICTURE_PX)
             table = pixel_gradient_table(self.of_pixel, 1 / n)
-        pair = [with_cross(self.rendered, u, v, PICTURE_PX), resize_to_height(self.target, PICTURE_PX)]
+        pair = [stacks.with_cross(self.rendered, u, v, PICTURE_PX), stacks.resize_to_height(self.target, PICTURE_PX)]
         unit = f"numbers are multiples of 1/{n:,}: L1 gives ±1 per pixel and channel"
         return side_by_side([*pair, lens], ["rendered: click", "target", "descent"]), f"pixel ({u}, {v}); {unit}{table}"
 
     def _read(self, params: GaussianParams, camera: Camera, T_WC: Tensor) -> None:
         """Render, and compute the gradient with respect to the projected Gaussians."""
         with torch.no_grad():
-            self.splats = project_splats(params, camera, T_WC)
+            self.splats = stacks.project_splats(params, camera, T_WC)
             p = self.splats.projection
             tiles = tile_intersections(p, camera)
             out = composite(p.uv, p.conic, p.opacity, self.splats.rgb, p.depth_m, tiles, camera, with_indices=False)
@@ -297,4 +282,4 @@ class GradientMicroscope(Panel):
         g = self.total
         numbers = [*g.uv[row].tolist(), float(g.opacity[row]), *g.rgb[row].tolist()]
         heads = (f"Gaussian {row}", "dL/du", "dL/dv", "dL/do", "dL/dr", "dL/dg", "dL/db")
-        return numbers_table(heads, [("sum over all pixels", *(f"{x / unit:+.2f}" for x in numbers))], n=1)
+        return stacks.numbers_table(heads, [("sum over all pixels", *(f"{x / unit:+.2f}" for x in numbers))], n=1)

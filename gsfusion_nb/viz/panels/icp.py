@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -14,7 +13,7 @@ from ...drawing.pictures import Picture, side_by_side, to_uint8
 from ...geometry import depth_to_normals, se3
 from ...tracking import IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
 from ...types import Frame
-from .frames import point_view
+from .frames import displaced_pose, point_view
 from .panel import Drawn, Number, Panel, Slider, Switch
 from .pixel_stack import resize_to_height
 from .tsdf import distance_colours
@@ -33,16 +32,6 @@ def frame_surface(frame: Frame, T_WC: Float[Tensor, "4 4"] | None = None) -> Sur
     T = frame.T_WC if T_WC is None else T_WC.to(frame.depth_m)
     normal_W = se3.rotate(T, depth_to_normals(frame.camera, frame.depth_m))
     return Surface(depth_m=frame.depth_m, normal_W=normal_W, camera=frame.camera, T_WC=T, rgb=frame.rgb)
-
-
-def displaced_pose(T_WC: Float[Tensor, "4 4"], sideways_m: float | int, turn_deg: float | int) -> Float[Tensor, "4 4"]:
-    """The pose moved to the camera's right and then turned about its vertical axis, float64."""
-    T = T_WC.double()
-    angle = float(np.radians(turn_deg))
-    xi = torch.tensor([0.0, 0.0, 0.0, 0.0, angle, 0.0], dtype=torch.float64)
-    step = torch.eye(4, dtype=torch.float64)
-    step[0, 3] = float(sideways_m)
-    return T @ step @ se3.exp(xi)
 
 
 def pose_error(T_WC: Float[Tensor, "4 4"], T_true: Float[Tensor, "4 4"]) -> tuple[float, float]:

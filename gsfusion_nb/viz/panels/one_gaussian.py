@@ -1,5 +1,6 @@
 """One Gaussian, enlarged: the exact projection of its points beside the ellipse that is drawn."""
 
+import functools
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -47,19 +48,17 @@ def orientation_from_angles(turn_deg: float | int, lean_deg: float | int) -> Flo
     return quaternion.multiply(about_z, about_y)
 
 
-def projection_picture(
-    params: GaussianParams, camera: Camera, *, zoom: int = 6, n_points: int = 400
-) -> tuple[Picture, Splats]:
+def projection_picture(params: GaussianParams, camera: Camera, *, zoom: int = 6) -> tuple[Picture, Splats]:
     """One Gaussian, rendered by a camera at the origin; its ellipses; and points drawn from it, projected exactly.
 
     The blue blob is what the renderer draws, white are the ellipses of one and two standard deviations, orange are the
-    exact projections of points of the 3D Gaussian. Where points and ellipse disagree, the linearisation of EWA fails.
+    exact projections of 400 points of the 3D Gaussian, the same each time. Where points and ellipse disagree, the
+    linearisation of EWA fails.
 
     Args:
         params: One row.
         camera: Its picture is small, so that pixels can be seen.
         zoom: Screen pixels per pixel.
-        n_points: Number of points; they are the same each time.
 
     Returns:
         The picture and the splat's numbers.
@@ -67,7 +66,7 @@ def projection_picture(
     splats = project_splats(params, camera, torch.eye(4))
     view = to_uint8(0.12 + 0.88 * render(params, camera, torch.eye(4)).rgb)
     figure, axes = image_figure(view, (zoom * camera.width, zoom * camera.height))
-    axes.plot(*_cloud_uv(params, camera, n_points).T, "o", color="#ff9628", markersize=1.5)
+    axes.plot(*_cloud_uv(params, camera, 400).T, "o", color="#ff9628", markersize=1.5)
     if bool(splats.projection.visible[0]):
         ring, centre = outlines(splats, torch.tensor([0]))[0], splats.projection.uv[0].double().numpy()
         for k in (1, 2):
@@ -183,9 +182,6 @@ def one_gaussian_panel(camera: Camera, *, zoom: int = 6) -> Panel:
         picture, splats = projection_picture(gaussian_row(xyz, scale, orientation), camera, zoom=zoom)
         return draw_handles(picture, gaussian_handles(values, camera, zoom)), projection_caption(splats)
 
-    def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, float]:
-        return touch_gaussian(stroke, values, camera, zoom)
-
     controls = {
         "x_m": Slider(value=0.0, low=-1.5, high=1.5, step=0.01, label="x, m"),
         "y_m": Slider(value=0.0, low=-1.5, high=1.5, step=0.01, label="y, m"),
@@ -195,7 +191,9 @@ def one_gaussian_panel(camera: Camera, *, zoom: int = 6) -> Panel:
         "turn_deg": Slider(value=30, low=-180, high=180, step=1, label="turn, °", tip="about the viewing axis"),
         "lean_deg": Slider(value=0, low=-90, high=90, step=1, label="lean, °", tip="about the vertical axis"),
     }
-    return Panel(draw, controls, name="one-gaussian", text="One Gaussian and its image", touch=touch)
+    text = "One Gaussian and its image"
+    touch = functools.partial(touch_gaussian, camera=camera, zoom=zoom)
+    return Panel(draw, controls, name="one-gaussian", text=text, touch=touch)
 
 
 def gaussian_handles(values: Mapping[str, Any], camera: Camera, zoom: int) -> dict[str, Point]:

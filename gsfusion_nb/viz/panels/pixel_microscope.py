@@ -11,23 +11,11 @@ from torch import Tensor
 
 from ...drawing.pictures import Picture, side_by_side, to_uint8
 from ...render import BaseView, render
-from ...render.composite import pixel_offsets, splat_alpha
 from ...render.over_base import not_behind
 from ...types import Camera, GaussianParams
+from . import pixel_stack as stacks
 from .panel import Drawn, Panel, pixel_sliders, touched_pixel
-from .pixel_stack import (
-    TABLE_ROWS,
-    Splats,
-    check_pixel,
-    lens_picture,
-    numbers_table,
-    pixel_stack,
-    project_splats,
-    rgb_text,
-    swatch,
-    weights_graph,
-    with_cross,
-)
+from .pixel_stack import Splats
 
 PICTURE_PX = 300
 """Height of the pictures, pixels."""
@@ -56,7 +44,7 @@ class PixelMicroscope(Panel):
         *,
         pixel: tuple[int, int] | None = None,
     ):
-        self._open(project_splats(params, camera, T_WC), to_uint8(render(params, camera, T_WC).rgb), pixel)
+        self._open(stacks.project_splats(params, camera, T_WC), to_uint8(render(params, camera, T_WC).rgb), pixel)
 
     def _open(self, splats: Splats, image: Picture, pixel: tuple[int, int] | None) -> None:
         self.splats, self.rendered = splats, image
@@ -67,13 +55,13 @@ class PixelMicroscope(Panel):
         )  # fmt: skip
 
     def _stack_at(self, u: int, v: int) -> Any:
-        return pixel_stack(self.splats, u, v)
+        return stacks.pixel_stack(self.splats, u, v)
 
     def _draw(self, u: int, v: int) -> Drawn:
         self.stack = s = self._stack_at(u, v)
         heaviest = s.row[s.weight.argsort(descending=True)[:OUTLINED]]
-        lens = lens_picture(self.rendered, self.splats, (u, v), heaviest, size=PICTURE_PX)
-        picture = with_cross(self.rendered, u, v, PICTURE_PX)
+        lens = stacks.lens_picture(self.rendered, self.splats, (u, v), heaviest, size=PICTURE_PX)
+        picture = stacks.with_cross(self.rendered, u, v, PICTURE_PX)
         top = side_by_side([picture, lens], ["rendered: click a pixel", "enlarged, with ellipses"])
         rendered = " ".join(f"{x / 255:.3f}" for x in self.rendered[v, u])
         words = f"pixel ({u}, {v}): {s.caption}; rendered (8 bit) {rendered}{s._repr_html_()}"
@@ -130,7 +118,7 @@ class PixelMix:
     def caption(self) -> str:
         """Number of samples and their mean, as HTML."""
         behind = f", {self.hidden} behind the surface" if self.hidden else ""
-        mean = f"W = {self.total:.2f}, mean = {rgb_text(self.colour)}"
+        mean = f"W = {self.total:.2f}, mean = {stacks.rgb_text(self.colour)}"
         return f"<b>surface and {len(self)} Gaussians</b>{behind}, {mean}"
 
     def shuffled(self, generator: torch.Generator) -> "PixelMix":
@@ -144,20 +132,20 @@ class PixelMix:
         other = self.shuffled(torch.Generator().manual_seed(self.u + 1000 * self.v))
         weight, rgb = self.samples
         title = "weights: surface, then Gaussians; below: mean so far, and in another order"
-        return weights_graph(size, rgb, weight, {"mean": self.running, "shuffled": other.running}, title=title)
+        return stacks.weights_graph(size, rgb, weight, {"mean": self.running, "shuffled": other.running}, title=title)
 
     def _repr_html_(self) -> str:
         share = 1 / max(self.base_weight + self.total, 1e-9)
 
         def line(k: str, row: str, depth: str, weight: float, rgb: Tensor) -> tuple[str, ...]:
-            return k, row, depth, f"{weight:.3f}", f"{weight * share:.0%}", swatch(rgb), rgb_text(rgb)
+            return k, row, depth, f"{weight:.3f}", f"{weight * share:.0%}", stacks.swatch(rgb), stacks.rgb_text(rgb)
 
         lines = [line("", "surface", "", self.base_weight, self.base_rgb)]
-        for k in range(min(len(self), TABLE_ROWS)):
+        for k in range(min(len(self), stacks.TABLE_ROWS)):
             numbers = (f"{self.depth_m[k]:.3f}", float(self.weight[k]), self.rgb[k])
             lines.append(line(str(k), str(int(self.row[k])), *numbers))
         mean = line("", "mean", "", self.base_weight + self.total, self.colour)
-        return numbers_table(("k", "row", "depth m", "weight", "share", "", "colour"), lines, mean, n=len(self))
+        return stacks.numbers_table(("k", "row", "depth m", "weight", "share", "", "colour"), lines, mean, n=len(self))
 
 
 def pixel_mix(splats: Splats, below: BaseView, u: int, v: int) -> PixelMix:
@@ -166,13 +154,8 @@ def pixel_mix(splats: Splats, below: BaseView, u: int, v: int) -> PixelMix:
     Raises:
         ValueError: the pixel is not in the picture.
     """
-    check_pixel(splats.camera, u, v)
     p, base = splats.projection, below.base
-    centre = p.uv.new_tensor([u + 0.5, v + 0.5])
-    row = (p.visible & ((p.uv - centre).abs() <= p.extent_px).all(1)).nonzero().squeeze(1)
-    dx, dy = pixel_offsets(p.uv[row], torch.tensor([u]), torch.tensor([v]))
-    alpha = splat_alpha(dx, dy, p.conic[row], p.opacity[row])[:, 0]
-    row, alpha = row[alpha > 0], alpha[alpha > 0]
+    row, alpha = stacks.reaching(splats, u, v)
     w = not_behind(alpha[:, None], p.depth_m[row], base.depth_m[v, u][None], below.behind_m)[:, 0]
     order = w.argsort(descending=True, stable=True)[: int((w > 0).sum())]
     hidden = len(row) - len(order)
@@ -199,7 +182,7 @@ class MixMicroscope(PixelMicroscope):
         self, mapper: Any, camera: Camera, T_WC: Float[Tensor, "4 4"], *, pixel: tuple[int, int] | None = None
     ):
         self.below = mapper.below(camera, T_WC)
-        splats = project_splats(mapper.gaussians.params, camera, T_WC)
+        splats = stacks.project_splats(mapper.gaussians.params, camera, T_WC)
         self._open(splats, to_uint8(mapper.render(camera, T_WC).rgb), pixel)
 
     def _stack_at(self, u: int, v: int) -> PixelMix:

@@ -20,6 +20,7 @@ from ...drawing.page import html_table
 from ...drawing.pictures import AnyImage, Picture, to_uint8
 from ...geometry.spherical_harmonics import sh_to_rgb
 from ...render import Projection, blend_rows, project_gaussians
+from ...render.composite import pixel_offsets, splat_alpha
 from ...types import Camera, GaussianParams
 
 if TYPE_CHECKING:
@@ -94,6 +95,20 @@ def blend_at(splats: Splats, uv: Float[Tensor, "P 2"]) -> Blend:
         alpha=alpha[:, used],
         transmittance=torch.cat([T[:, :-1][:, used], T[:, -1:]], dim=1),
     )
+
+
+def reaching(splats: Splats, u: int, v: int) -> tuple[Int[Tensor, " K"], Float[Tensor, " K"]]:
+    """Rows of the Gaussians that reach the centre of pixel (u, v), in the order of the map, and their alpha there.
+
+    Raises:
+        ValueError: the pixel is not in the picture.
+    """
+    check_pixel(splats.camera, u, v)
+    p = splats.projection
+    row = (p.visible & ((p.uv - p.uv.new_tensor([u + 0.5, v + 0.5])).abs() <= p.extent_px).all(1)).nonzero().squeeze(1)
+    dx, dy = pixel_offsets(p.uv[row], torch.tensor([u]), torch.tensor([v]))
+    alpha = splat_alpha(dx, dy, p.conic[row], p.opacity[row])[:, 0]
+    return row[alpha > 0], alpha[alpha > 0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,23 +10,14 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from ... import seeding
 from ...drawing.page import html_table
 from ...drawing.pictures import AnyImage, Picture, paint_cells, to_uint8
 from ...gaussians import GaussianModel
 from ...geometry import project, se3
 from ...mapping import GSFusion
 from ...render import render
-from ...seeding import (
-    Cells,
-    SeedContext,
-    SeedingRule,
-    apply_rule,
-    copy_memory,
-    quadtree,
-    rule_choices,
-    rule_name,
-    rule_options,
-)
+from ...seeding import Cells, SeedContext, SeedingRule, apply_rule, quadtree, rule_name
 from ...tsdf import TsdfVolume, integrate
 from ...types import Frame, Seeds
 from ..map_pictures import SEED_COLOUR, paint_points
@@ -105,7 +96,10 @@ def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: 
     def draw(*, threshold: float, min_cell_px: int, contrast: Any, show: str) -> Drawn:
         settings = {"threshold": threshold, "min_cell_px": min_cell_px, "contrast": contrast}
         picture, cells = quadtree_picture(photo, **settings, show=show, scale=scale)
-        return picture, _counts(cells, photo.shape[0] * photo.shape[1])
+        rows = [(str(level), f"{int(n):,}") for level, n in enumerate(torch.bincount(cells.level.long())) if n]
+        each = f"one for every {photo.shape[0] * photo.shape[1] / len(cells):.0f} pixels"
+        count = f'<b class="gsnb-quadtree-count">{len(cells):,}</b> cells, {each}'
+        return picture, count + html_table(rows, heads=("level", "cells"))
 
     controls = {
         "threshold": Slider(
@@ -120,13 +114,6 @@ def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: 
         "show": Choice(value="cells", options=QUADTREE_SHOWS, label="show"),
     }  # fmt: skip
     return Panel(draw, controls, name="quadtree", kind="png", text="quadtree panel")
-
-
-def _counts(cells: Cells, pixels: int) -> str:
-    levels = torch.bincount(cells.level.long())
-    rows = [(str(level), f"{int(n):,}") for level, n in enumerate(levels) if n]
-    count = f'<b class="gsnb-quadtree-count">{len(cells):,}</b> cells, one for every {pixels / len(cells):.0f} pixels'
-    return count + html_table(rows, heads=("level", "cells"))
 
 
 RULE_SHOWS = ("places", "new Gaussians", "map and new")
@@ -151,7 +138,7 @@ def rule_controls(
     Raises:
         KeyError: no such rule, or ``ranges`` names no option of it.
     """
-    options, words, ranges = rule_options(rule), rule_choices(rule), dict(ranges or {})
+    options, words, ranges = seeding.rule_options(rule), seeding.rule_choices(rule), dict(ranges or {})
     unknown = sorted(set(ranges) - set(options))
     if unknown:
         raise KeyError(f"rule {rule_name(rule)!r} has no options {unknown}; known: {sorted(options)}")
@@ -191,7 +178,7 @@ def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
         volume=volume,
         gaussians=GaussianModel.from_state_dict(copy.deepcopy(mapper.gaussians.state_dict())),
         generator=torch.Generator().manual_seed(0),
-        memory=copy_memory(mapper.memory),
+        memory=seeding.copy_memory(mapper.memory),
     )
 
 
@@ -222,7 +209,7 @@ def rule_picture(
     if show not in RULE_SHOWS:
         raise ValueError(f"show must be one of {', '.join(RULE_SHOWS)}, got {show!r}")
     ctx.generator.manual_seed(0)
-    memory = copy_memory(ctx.memory)
+    memory = seeding.copy_memory(ctx.memory)
     try:
         seeds = apply_rule(rule, ctx, options)
     finally:

@@ -1,5 +1,6 @@
 """Panels about a TSDF volume: a plane through it as a picture, and a camera that fills it."""
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -14,6 +15,7 @@ from ...tsdf import TsdfVolume, integrate, raycast
 from ...types import Camera, Frame
 from ..display import Stroke
 from ..map_pictures import palette
+from ..viewpoint import orbit_camera
 from .panel import Choice, Drawn, Panel, Point, Slider, Switch, draw_handles, nearest_handle
 
 LEGENDS = {"distance": "; red behind, blue free", "weight": "; dark 1, bright 20", "colour": ""}
@@ -124,14 +126,7 @@ def level_pose(
         heading_deg: Where it looks, counter-clockwise from the world's x axis, degrees.
         tilt_deg: Angle above the horizontal, degrees.
     """
-    h, t = math.radians(heading_deg), math.radians(tilt_deg)
-    forward = [math.cos(h) * math.cos(t), math.sin(h) * math.cos(t), math.sin(t)]
-    right = [math.sin(h), -math.cos(h), 0.0]
-    down = np.cross(forward, right).tolist()
-    T = torch.eye(4, dtype=torch.float64)
-    T[:3, :3] = torch.tensor([right, down, forward], dtype=torch.float64).T
-    T[:3, 3] = torch.tensor([x_m, y_m, height_m], dtype=torch.float64)
-    return T.float()
+    return orbit_camera((x_m, y_m, height_m), heading_deg + 180, -tilt_deg, 0.0)
 
 
 def shape_picture(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Picture:
@@ -213,9 +208,6 @@ def tsdf_fill_panel(
         )
         return side_by_side([seen, shape_picture(volume, camera, T_WC)], titles), text
 
-    def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, float]:
-        return touch_camera(stroke, values, camera)
-
     x_m, y_m, turn_deg = map(float, start)
     controls = {
         "x_m": Slider(value=x_m, low=-2.2, high=2.2, step=0.05, label="x, m"),
@@ -228,5 +220,6 @@ def tsdf_fill_panel(
     }
     buttons = {"measure": measure, "forget": forget}
     text = "A slice of a TSDF volume with the camera in it, and what the camera sees of the map"
+    touch = functools.partial(touch_camera, camera=camera)
     panel = Panel(draw, controls, buttons=buttons, name="fill", kind="png", text=text, touch=touch)
     return panel

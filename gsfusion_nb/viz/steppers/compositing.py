@@ -9,10 +9,9 @@ from torch import Tensor
 
 from ...drawing.curves import BETWEEN, PALETTE, style
 from ...render import TileLists, composite, composite_vjp
-from ...render.composite import pixel_offsets, splat_alpha
 from ...render.constants import TILE_PX
 from ...types import Camera, GaussianParams
-from ..panels.pixel_stack import check_pixel, project_splats
+from ..panels.pixel_stack import project_splats, reaching
 from .recording import Recording, record
 from .stepper import Step, Stepper, text_of
 
@@ -57,15 +56,9 @@ def record_pixel(
     Raises:
         ValueError: the pixel is outside the image, or no Gaussian reaches it.
     """
-    check_pixel(camera, *pixel)
     splats = project_splats(params, camera, T_WC)
-    p = splats.projection
-    uv = p.uv - p.uv.new_tensor(pixel)
-    rows = p.visible.nonzero().squeeze(1)
-    dx, dy = pixel_offsets(uv[rows], torch.zeros(1), torch.zeros(1))
-    alpha = splat_alpha(dx, dy, p.conic[rows], p.opacity[rows])[:, 0]
-    rows = rows[alpha > 0]
-    rows = rows[p.depth_m[rows].argsort(stable=True)]
+    p, (rows, _) = splats.projection, reaching(splats, *pixel)
+    uv, rows = p.uv - p.uv.new_tensor(pixel), rows[p.depth_m[rows].argsort(stable=True)]
     if not len(rows):
         raise ValueError(f"no Gaussian reaches pixel {pixel}")
     one = dataclasses.replace(camera, width=1, height=1, cx=camera.cx - pixel[0], cy=camera.cy - pixel[1])

@@ -11,7 +11,7 @@ from gsfusion_nb.data.room.hand_held import HandHeld, write_hand_held
 from gsfusion_nb.geometry import backproject, se3
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.viz import point_panel, repair_panel
-from gsfusion_nb.viz.panels.frames import moved_pose, pixel_story, point_view
+from gsfusion_nb.viz.panels.frames import displaced_pose, pixel_story, point_view
 
 CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
 
@@ -40,7 +40,7 @@ def test_the_same_pose_gives_the_picture_back(frame):
 
 def test_a_step_to_the_right_moves_near_things_farther_to_the_left(frame):
     step_m = 0.1
-    picture = point_view(frame, moved_pose(frame.T_WC, (step_m, 0.0, 0.0), 0.0))
+    picture = point_view(frame, displaced_pose(frame.T_WC, step_m, 0.0))
     assert red(picture).mean(0) + 0.5 == pytest.approx([24, 32 - 50 * step_m / 1.0], abs=0.51)
     hole = np.argwhere((picture[:-1] == 0).all(-1))
     beside = hole[(hole[:, 0] >= 21) & (hole[:, 0] < 27) & (hole[:, 1] < 40)]
@@ -49,7 +49,7 @@ def test_a_step_to_the_right_moves_near_things_farther_to_the_left(frame):
 
 
 def test_the_nearest_point_wins_and_points_can_be_larger(frame):
-    closer = moved_pose(frame.T_WC, (0.0, 0.0, 0.5), 0.0)
+    closer = displaced_pose(frame.T_WC, 0.0, 0.0, 0.5)
     picture = point_view(frame, closer)
     assert len(red(picture)) <= 64  # as many points as before, now with gaps
     full = point_view(frame, closer, point_px=3)
@@ -68,7 +68,7 @@ def test_a_click_on_the_frame_lifts_its_pixel(frame):
     assert ", ".join(f"{x:.3f}" for x in xyz.tolist()) in panel.caption.value
     panel.drag((W + 6 + 10, 26 + 9), (W + 6 + 10 - frame.camera.fx * np.radians(8), 26 + 9))
     assert panel.values["turn_deg"] == 8  # the picture follows the pointer: to the left, when the camera turns right
-    assert pixel_story(frame, moved_pose(frame.T_WC, (0.0, 0.0, 0.0), 170.0), W // 2, H // 2)[0] is None
+    assert pixel_story(frame, displaced_pose(frame.T_WC, 0.0, 170.0).float(), W // 2, H // 2)[0] is None
     place, words = pixel_story(frame, frame.T_WC, W // 2, H // 2)
     assert place == pytest.approx((W // 2 + 0.5, H // 2 + 0.5), abs=1e-3)
     assert "no depth" not in words
