@@ -159,22 +159,6 @@ def test_steps_on_a_part_of_a_large_map_are_recorded(frames, monkeypatch):
     assert set.union(*serials) > serials[-1]
 
 
-def test_steps_on_a_part_of_a_large_map_are_recorded(frames, monkeypatch):
-    monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
-    monkeypatch.setattr(in_view, "CHUNK", 16)
-    turned = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
-    mapper = GSFusion(settings())
-    with tracing(mapper) as trace:
-        mapper.step(frames[0])
-        mapper.step(dataclasses.replace(frames[1], T_WC=turned))
-    steps = [trace.gaussian(row).steps for row in range(len(mapper.gaussians))]
-    for row, (*_, last) in enumerate(steps):
-        assert last.row == row
-        assert torch.equal(last.adam["xyz_W"].after, mapper.gaussians.params.xyz_W[row])
-    serials = [{step.serial for step in of_row} for of_row in steps]
-    assert set.union(*serials) > serials[0]
-
-
 def test_a_voxel_has_the_values_of_the_volume(frames):
     mapper = GSFusion(settings())
     trace = Trace(mapper)

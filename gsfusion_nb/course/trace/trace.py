@@ -14,6 +14,7 @@ from torch import Tensor
 from ...backends import observing
 from ...checks import check_whole
 from ...geometry import backproject, se3
+from ...optim import PartOfMap
 from ...seeding import rule_name
 from ...tsdf.integrate import blocks_in_view
 from . import operations
@@ -125,11 +126,11 @@ class Recorder:
 
     def _adam_step(self, f: Call, args: tuple, kwargs: dict) -> Any:
         model, gradients = args[:2]
-        whole = getattr(model, "model", model)  # of a large map a part is moved
-        if self._step is None or whole is not self.mapper.gaussians:
+        part = model if isinstance(model, PartOfMap) else None
+        if self._step is None or (model if part is None else part.model) is not self.mapper.gaussians:
             return f(*args, **kwargs)
-        if whole is not model:
-            rows = model.rows.cpu()
+        if part is not None:
+            rows = part.rows.cpu()
             self._step |= {"rows": rows, "ids": self._step["ids"][rows]}
         before = _copies(model)
         for name, last in self._last.items():  # what did not change since the last step is held once
