@@ -82,7 +82,7 @@ def test_start_pause_step_and_stop_online_mapping(lab, page):
 
     page.locator(".gsnb-live-stop").click()
     lab.wait_for(lambda: "stopped" in status.inner_text(), "the stop")
-    assert not lab.value(page, "live.player.is_alive")
+    lab.wait_for(lambda: not lab.value(page, "live.player.is_alive"), "the end of the thread")
     page.locator(".gsnb-live-start").click()  # goes on from there
     lab.wait_for(lambda: mapped() >= rested + 2, "frames after the stop")
     page.locator(".gsnb-live-stop").click()

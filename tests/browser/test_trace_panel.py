@@ -16,7 +16,7 @@ mapper = GSFusion(config)
 trace = Trace(mapper)
 for i in range(3):
     mapper.step(sequence.mapping[i])
-panel = TracePanel(trace, gaussian=0)
+panel = TracePanel(trace, gaussian=1)
 panel
 """
 
@@ -36,7 +36,7 @@ def test_the_panel_follows_a_gaussian_and_a_voxel(lab):
     page.locator(".gsnb-trace-previous").click()
     lab.wait_for(lambda: lab.value(page, "panel.moment") == 2, "the button")
     image.click(position={"x": 150, "y": 120})
-    lab.wait_for(lambda: lab.value(page, "panel.story.row") != 0, "another Gaussian")
+    lab.wait_for(lambda: lab.value(page, "panel.story.row") != 1, "another Gaussian")
     assert "Gaussian" in image.get_attribute("alt")
     lab.screenshot(root, "trace_gaussian")
     page.locator(".gsnb-trace-follows select").select_option("voxel")
