@@ -5,7 +5,8 @@ The named comparisons are those of the papers, beside their numbers, and the que
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +15,6 @@ import tyro
 
 from ..backends import use_backend
 from ..checks import check_name, check_whole, shown
-from ..course.paper_tables import PaperComparison
 from ..files import SequenceError, parse_json
 from ..mapping import get_system
 from ..seeding import check_options
@@ -27,6 +27,19 @@ from .statistics import Group, group_runs
 
 Values = Mapping[str, Any]
 """Name -> value: "system", "fidelity", "seeding.rule", an option of the rule as "rule.<name>", or a setting."""
+Row = Mapping[str, float | int]
+"""Column -> value."""
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """An ablation of the paper of GSFusion (Wei & Leutenegger 2024) as it is printed there."""
+
+    number: str
+    title: str
+    data: str
+    rows: Mapping[str, Row]
+    """Setting -> column -> value, in the paper's order."""
 
 
 @dataclass(frozen=True)
@@ -38,127 +51,24 @@ class Study:
     """Label -> what is set."""
     common: Values = dataclasses.field(default_factory=dict)
     """What is set in all variants."""
-    table: str = ""
-    """Number of the table in ``PAPER_TABLES`` that is printed beside our numbers."""
+    paper: PaperTable | None = None
+    """The table that is printed beside our numbers."""
     views: str = "held_out"
     """Views that this table scores: held_out or mapped."""
     about: str = ""
     """A sentence under the table."""
 
 
-_RTG: Values = {"system": "rtg_slam"}
-_TRACKED: Values = {"tracking.poses": "tracked"}
-_GPS_ONLINE: Values = {"system": "gps_slam", "final.passes": 0}
-_EQUAL: Values = {"tsdf.colour_by_distance": False}
-_TITLES = {"gsfusion": "GSFusion", "rtg_slam": "RTG-SLAM", "gps_slam": "GPS-SLAM"}
-STUDIES: dict[str, Study] = {
-    "systems": Study("The three systems, with given and with tracked poses", {
-        f"{title}, {poses}": {"system": system, "tracking.poses": poses}
-        for poses in ("given", "tracked") for system, title in _TITLES.items()
-    }),
-    "transparent": Study(
-        "RTG-SLAM with and without transparent Gaussians (Peng et al. 2024, Fig. 6)",
-        {"with transparent": {"rule.transparent": True}, "opaque only": {"rule.transparent": False}}, _RTG,
-        about="The paper shows pictures and no numbers: opaque Gaussians alone give wrong colours from new views.",
-    ),
-    "states": Study(
-        "RTG-SLAM: optimise the unstable Gaussians and their pixels, or everything",
-        {"unstable only": {}, "all Gaussians": {"window.only_unstable": False}}, _RTG,
-    ),
-    "fidelity": Study("The three systems as measured, as in their papers and as released", {
-        f"{title}, {name}": {"system": system, "fidelity": name, "data.hold_out_every": 8}
-        for system, title in _TITLES.items() for name in ("measured", "paper", "code")
-    }),
-    "gsfusion-settings": Study(
-        "GSFusion: the settings in which paper, released code and our defaults differ, changed one at a time", {
-            "measured": {},
-            "seeding.without_depth skip (both)": {"seeding.without_depth": "skip"},
-            "optim.adam_steps shared (both)": {"optim.adam_steps": "shared"},
-            "optim.adam_steps per_row": {"optim.adam_steps": "per_row"},
-            "optim.ssim_weight 0 (paper)": {"optim.ssim_weight": 0},
-            "tsdf.sdf z (paper)": {"tsdf.sdf": "z"},
-            "tsdf.average eq9 (paper)": {"tsdf.average": "eq9"},
-            "tsdf.average int16 (code)": {"tsdf.average": "int16"},
-            "tsdf.outlier_guard off (both)": {"tsdf.outlier_guard": False},
-            "seeding.one_per_voxel on (paper)": {"seeding.one_per_voxel": True},
-        },
-    ),
-    "rtg-slam-settings": Study(
-        "RTG-SLAM: the settings that our defaults take from measurements, set to the published value one at a time", {
-            "measured": {},
-            "discs.opaque_alpha 0.61 (paper)": {"discs.opaque_alpha": 0.6065},
-            "discs.min_cosine 0.5 (both)": {"discs.min_cosine": 0.5},
-            "discs.max_offset 1 (code)": {"discs.max_offset": 1},
-            "discs.max_offset none (paper)": {"discs.max_offset": None},
-            "share 0.05 (both)": {"rule.share": 0.05},
-            "window.lr_sh 5e-4, 2.5e-5 (code)": {"window.lr_sh_dc": 5e-4, "window.lr_sh_rest": 2.5e-5},
-            "window.lr_log_scale 4e-3 (code)": {"window.lr_log_scale": 4e-3},
-            "window.draw random (paper)": {"window.draw": "random"},
-            "states.stable_confidence 100 (code)": {"states.stable_confidence": 100},
-            "states.age all (both)": {"states.age": "all"},
-        }, _RTG,
-    ),
-    "depth": Study(
-        "RTG-SLAM online with disc depth or blended depth",
-        {"disc depth": {}, "blended depth": {"discs.depth": "blended"}}, _RTG,
-    ),
-    "rate": Study(
-        "Rate against held-out PSNR while mapping, without passes: GPS-SLAM with one changed setting beside GSFusion", {
-            "GSFusion": {"optim.global_iterations": 0},
-            "GPS-SLAM": _GPS_ONLINE,
-            "10 steps": {**_GPS_ONLINE, "schedule.iterations": 10},
-            "30 steps": {**_GPS_ONLINE, "schedule.iterations": 30},
-            "40 steps": {**_GPS_ONLINE, "schedule.iterations": 40},
-            "most 0.005": {**_GPS_ONLINE, "rule.most": 0.005},
-            "most 0.04": {**_GPS_ONLINE, "rule.most": 0.04},
-            "2 looks": {**_GPS_ONLINE, "schedule.recalled": 2, "schedule.recalled_new": 1},
-            "full looks": {**_GPS_ONLINE, "base.resolution": "full"},
-            "voxels 2 cm": {**_GPS_ONLINE, "tsdf.voxel_size_m": 0.02},
-            "voxels 0.7 cm": {**_GPS_ONLINE, "tsdf.voxel_size_m": 0.007},
-        },
-    ),
-    "colours": Study(
-        "The TSDF's picture and its mesh, without Gaussians, by how its colours are weighted", {
-            "band of 1.5 voxels and 1/z^2": {},
-            "band of 1.5 voxels": _EQUAL,
-            "band of 2 voxels": {**_EQUAL, "tsdf.colour_band_voxels": 2},
-            "1/z^2": {"tsdf.colour_band_voxels": 0},
-            "equal weights": {**_EQUAL, "tsdf.colour_band_voxels": 0},
-        }, {**_GPS_ONLINE, "rule.share": 0.0},
-    ),
-    "tracking": Study(
-        "RTG-SLAM's tracker: the surface it aligns to, and the back end", {
-            "hybrid (released code)": {},
-            "model (paper)": {"tracking.target": "model"},
-            "hybrid, without landmarks": {"tracking.landmarks": False},
-            "hybrid, back end": {"tracking.back_end": True},
-        }, {**_RTG, **_TRACKED},
-    ),
-    "table-iv": Study(
-        "GSFusion, Table IV: voxel size", {"1 cm": {"tsdf.voxel_size_m": 0.01}, "5 cm": {"tsdf.voxel_size_m": 0.05}},
-        table="IV",
-    ),
-    "table-v": Study(
-        "GSFusion, Table V: quadtree threshold",
-        {"0.01": {"seeding.quadtree_threshold": 0.01}, "0.1": {"seeding.quadtree_threshold": 0.1}}, table="V",
-        about="The released contrast grows with the number of pixels: on small images a threshold gives fewer cells.",
-    ),
-    "table-vi": Study(
-        "GSFusion, Table VI: passes of the global optimisation",
-        {str(n): {"optim.global_iterations": n} for n in (0, 10, 20)}, table="VI",
-    ),
-    "table-vii": Study(
-        "GSFusion, Table VII: random keyframe optimisation", {
-            "without": {"optim.frame_iterations": 5, "optim.random_keyframe_iterations": 0},
-            "with": {"optim.frame_iterations": 3, "optim.random_keyframe_iterations": 2},
-        }, {"optim.global_iterations": 0}, table="VII", views="mapped",
-        about="Both rows take 5 steps after each frame, as the equal speed in the paper implies.",
-    ),
-    "table-viii": Study(
-        "GSFusion, Table VIII: keyframe threshold", {str(n): {"keyframe_min_seeds": n} for n in (40, 50, 90)},
-        table="VIII", views="mapped",
-    ),
-}  # fmt: skip
+def _read_studies() -> Iterator[tuple[str, Study]]:
+    for name, study in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items():
+        if "paper" in study:
+            study["paper"] = PaperTable(**study["paper"])
+        for values in study["variants"].values():
+            values.update({setting: None for setting, value in values.items() if value == "none"})
+        yield name, Study(**study)
+
+
+STUDIES = dict(_read_studies())
 """Name on the command line -> study. "disc-depth" (Fig. 7 of RTG-SLAM) and "roofline" have modules of their own."""
 RULE, OPTION = "seeding.rule", "rule."
 """The setting whose values are rules, and the beginning of the names of a rule's options."""
@@ -248,7 +158,7 @@ def study(options: StudyOptions) -> int:
         specs = study_specs(name, options, options.data, options.only)
         print(f"{asked.question}, on {options.data}")
         status, results = run_and_write(specs, folder, options)
-        if asked.table:
+        if asked.paper:
             print(beside_paper(asked, results))
     return status
 
@@ -355,7 +265,8 @@ def beside_paper(asked: Study, results: Sequence[RunResult]) -> str:
     groups = {g.label: g for g in group_runs(results)}
     rows = {label: groups[label] for label in asked.variants if label in groups and groups[label].runs}
     ours = {label: _in_the_papers_columns(group, asked.views) for label, group in rows.items()}
-    text = f"{PaperComparison(asked.table, ours)!r}\n(in brackets: the paper's numbers)"
+    assert asked.paper is not None
+    text = f"{PaperComparison(asked.paper.number, ours)!r}\n(in brackets: the paper's numbers)"
     return "\n".join(filter(None, (asked.question, text, asked.about)))
 
 
@@ -368,3 +279,64 @@ def _in_the_papers_columns(group: Group, views: str) -> dict[str, float]:
     found = {name: group.summary(metric).mean for name, metric in names.items() if group.summary(metric).n}
     ms = group.summary("ms_per_frame")
     return found | ({"FPS": 1e3 / ms.mean} if ms.n else {})
+
+
+_FORMATS = {"PSNR": ".2f", "SSIM": ".3f", "FPS": ".1f", "MB": ".1f", "global s": ".1f", "keyframes": ",.0f"}
+
+
+class PaperComparison:
+    """An ablation of the paper and your own runs, row by row.
+
+    Args:
+        number: "IV" to "VIII".
+        ours: Setting -> column -> value; only the paper's columns, and "Gaussians", are shown. Settings that the paper
+            does not have are shown with ours alone. Settings that begin with a number are sorted by it.
+
+    Raises:
+        KeyError: the paper has no such ablation.
+    """
+
+    def __init__(self, number: str, ours: Mapping[str, Row]):
+        tables = {study.paper.number: study.paper for study in STUDIES.values() if study.paper}
+        check_name("ablation table", number, tables)
+        self.paper, self.ours = tables[number], dict(ours)
+        self.columns = list(dict.fromkeys(c for row in self.paper.rows.values() for c in row))
+        if any("Gaussians" in row for row in self.ours.values()):
+            self.columns.append("Gaussians")
+
+    @property
+    def title(self) -> str:
+        """One line above the table."""
+        return f"Table {self.paper.number}, {self.paper.title}: here (in the paper on {self.paper.data})"
+
+    def lines(self) -> list[list[str]]:
+        """Cells, the headings first: ours, and the paper's in brackets."""
+        settings = _in_order(list(dict.fromkeys([*self.paper.rows, *self.ours])))
+        rows = [[self.paper.title, *self.columns]]
+        for setting in settings:
+            mine, theirs = self.ours.get(setting, {}), self.paper.rows.get(setting, {})
+            rows.append([setting, *(_cell(c, mine, theirs) for c in self.columns)])
+        return rows
+
+    def __repr__(self) -> str:
+        rows = self.lines()
+        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+        text = []
+        for row in rows:
+            sides = ["<", *">" * (len(row) - 1)]
+            text.append("  ".join(f"{c:{side}{w}}" for c, side, w in zip(row, sides, widths, strict=True)))
+        return "\n".join([self.title, *text])
+
+
+def _in_order(settings: list[str]) -> list[str]:
+    """Sorted by the number that each begins with; in the given order if one has none."""
+    try:
+        return sorted(settings, key=lambda setting: float(setting.split()[0]))
+    except ValueError:
+        return settings
+
+
+def _cell(column: str, mine: Row, theirs: Row) -> str:
+    form = _FORMATS.get(column, ",.0f")
+    own = format(mine[column], form) if column in mine else "-"
+    return f"{own} ({theirs[column]:{form}})" if column in theirs else own

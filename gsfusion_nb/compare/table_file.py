@@ -161,45 +161,5 @@ def _dotted(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     return found
 
 
-EXAMPLE = """\
-# A comparison of seeding rules: every rule, on every scene, with every seed, at every budget.
-#   gsfusion-nb lab THIS_FILE --jobs 2
-
-seeds = [0, 1]         # or a number. They change only random draws
-# reference = "uniform"  # the label that all others are tested against; default: the best rule
-system = "gsfusion"    # or "rtg_slam", "gps_slam"
-
-[settings]             # of all runs; names as in gsfusion-nb map --help
-data = { width = 160, height = 120 }
-"tsdf.voxel_size_m" = 0.02
-sh_degree = 0
-"optim.global_iterations" = 3
-
-[[scenes]]
-data = "room"          # the built-in room, or the folder of a recording beside this file
-reader = { n_frames = 60 }
-
-[[scenes]]
-data = "room"
-label = "another room" # its name in the tables
-reader = { n_frames = 60, seed = 1, noise = "kinect" }
-
-[[budgets]]            # without any: equal steps, as many Gaussians as each rule makes
-gaussians = 2000       # one option of each rule is tuned until its map has this many
-steps = "equal"        # the same gradient steps for every rule; "own": they follow from the rule's seeds
-
-[[rules]]
-rule = "gsfusion"
-
-[[rules]]
-rule = "uniform"
-
-[[rules]]
-rule = "rtg_slam"
-options = { transparent = false }
-
-[[rules]]
-rule = "dense"         # or "my_rules.py:grid", from a file beside this one
-size_option = "thin"   # the option that is tuned; "thin" keeps a random share of the seeds
-"""
+EXAMPLE = Path(__file__).with_name("example.toml").read_text(encoding="utf-8")
 """A commented example of the file that describes a comparison."""

@@ -8,6 +8,7 @@ from gsfusion_nb.cli import main as cli
 from gsfusion_nb.compare import RunResult
 from gsfusion_nb.compare.studies import (
     STUDIES,
+    PaperComparison,
     StudyOptions,
     SweepOptions,
     beside_paper,
@@ -104,7 +105,7 @@ def test_each_variant_of_a_study_of_settings_changes_one(name):
         assert all(f.startswith(field) or (field == "share" and f == "options") for _, f in changed), label
 
 
-@pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.table])
+@pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.paper])
 def test_our_numbers_stand_beside_the_papers(scene, name):
     specs = study_specs(name, StudyOptions(name=name), str(scene))
     metrics = {
@@ -117,6 +118,20 @@ def test_our_numbers_stand_beside_the_papers(scene, name):
         "table-vii": "23.00 (28.64)", "table-viii": "23.00 (35.44)",
     }[name]  # fmt: skip
     assert expected in text
+
+
+def test_the_papers_tables_and_ours_beside_them():
+    assert [study.paper.number for study in STUDIES.values() if study.paper] == ["IV", "V", "VI", "VII", "VIII"]
+    table = PaperComparison("VII", {"with": {"PSNR": 20.0, "FPS": 30.0, "Gaussians": 1234, "MB": 3.0}})
+    head, without, with_ = table.lines()
+    assert head == ["random keyframe optimisation", "PSNR", "SSIM", "FPS", "Gaussians"]
+    assert without == ["without", "- (24.22)", "- (0.849)", "- (9.7)", "-"]
+    assert with_ == ["with", "20.00 (28.64)", "- (0.900)", "30.0 (9.7)", "1,234"]
+    thresholds = PaperComparison("VIII", {k: {"PSNR": 20.0} for k in ("10", "200", "50")})
+    assert [row[0] for row in thresholds.lines()[1:]] == ["10", "40", "50", "90", "200"]
+    assert "Table VII" in repr(table)
+    with pytest.raises(KeyError, match="'III'"):
+        PaperComparison("III", {})
 
 
 @pytest.mark.ci
