@@ -22,7 +22,7 @@ from ..mapping import get_system
 from ..seeding import Option, SeedingRule, is_built_in, registered, rule_files, rule_fingerprint
 from .schedule import with_settings
 
-_CODE = {".py", ".cu", ".cuh"}
+_CODE = {".py", ".toml", ".cu", ".cuh"}
 
 
 @functools.cache

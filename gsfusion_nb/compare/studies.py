@@ -64,7 +64,7 @@ def _read_studies() -> Iterator[tuple[str, Study]]:
         if "paper" in study:
             study["paper"] = PaperTable(**study["paper"])
         for values in study["variants"].values():
-            values.update({setting: None for setting, value in values.items() if value == "none"})
+            values.update({setting: None for setting, value in values.items() if value == "None"})
         yield name, Study(**study)
 
 

@@ -131,57 +131,7 @@ class GpsSlamConfig(SystemConfig):
     memory and time. 3: colour may change with the viewing direction (gloss, reflections), as released."""
 
 
-_GPS_SLAM: dict[str, dict[str, Any]] = {
-    "replica": {},
-    "scannetpp": {"data": {"hold_out_every": 0}},
-    "tum": {},
-    "azure": {},
-    "room": {"data": {"width": 320, "height": 240}},
-    "online": {"final": {"passes": 0}},
-}
-"""The release has settings for Replica and one Azure Kinect only, which are the same but for the data; the names of the
-other systems' presets mean the same data here."""
-
-_MEASURED: dict[str, Any] = {
-    "views": {"every_frames": 2},
-    "residual": {"lr_xyz": 5e-4, "lr_log_scale": 0.01, "loss": "l2", "max_radius_m": 1000.0},
-    "seeding": {"options": {"colour_error": 0.08, "share": 0.15, "most": 0.01, "max_weight": 1.0, "in_holes": True}},
-}
-
-_RELEASED: dict[str, Any] = {
-    "seeding": {"options": {"only_with_depth": False}},
-    "tsdf": {
-        "average": "int16",
-        "voxel_size_m": 0.005,
-        "near_m": 0.2,
-        "far_m": 10.0,
-        "sdf": "z",
-        "outlier_guard": False,
-        "colour_band_voxels": 1.0,
-        "colour_by_distance": False,
-    },
-    "base": {"holes": "black", "resolution": "full"},
-    "residual": {"lr_sh_dc": 2.5e-3, "lr_sh_rest": 5e-4, "restart_adam": True, "min_radius_m": 0.003},
-    "schedule": {"spread": False, "keyframes": 7, "recalled": 7, "recalled_new": 0},
-    "final": {"passes": 0},
-    "sh_degree": 3,
-}
-
-_FIDELITY: dict[str, list[dict[str, Any]]] = {
-    "measured": [_MEASURED],
-    "paper": [
-        _RELEASED,
-        {
-            "seeding": {"options": {"only_with_depth": False, "max_weight": 3.0, "surface": "depth"}},
-            "base": {"behind_m": 0.02},
-            "schedule": {"iterations": 30},
-        },
-    ],
-    "code": [_RELEASED],
-}
-
-
-_PRESETS = Presets(GpsSlamConfig(), _GPS_SLAM, _FIDELITY)
+_PRESETS = Presets("gps_slam", GpsSlamConfig())
 
 
 def gps_slam(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> GpsSlamConfig:

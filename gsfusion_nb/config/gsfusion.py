@@ -1,4 +1,4 @@
-"""Settings of GSFusion and its presets, named after papers and data sets."""
+"""Settings of GSFusion; its presets, named after papers and data sets, are in ``presets.toml``."""
 
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -101,45 +101,7 @@ class GSFusionConfig(SystemConfig):
     whose views are far apart). On: more memory and a longer optimisation after the scan."""
 
 
-_GSFUSION: dict[str, dict[str, Any]] = {
-    "replica": {},
-    "scannetpp": {
-        "optim": {"keyframe_iterations": 10, "frame_iterations": 1, "random_keyframe_iterations": 9},
-        "data": {"hold_out_every": 0},
-        "keep_all_frames": True,
-    },
-    "tum": {
-        "optim": {
-            "keyframe_iterations": 10,
-            "frame_iterations": 5,
-            "random_keyframe_iterations": 5,
-            "global_iterations": 20,
-        }
-    },
-    "azure": {},
-    "room": {"data": {"width": 320, "height": 240}},
-    "online": {"optim": {"global_iterations": 0}},
-}
-
-
-_AS_PUBLISHED: dict[str, Any] = {
-    "tsdf": {"outlier_guard": False, "colour_band_voxels": 0.0, "colour_by_distance": False},
-    "seeding": {"without_depth": "skip"},
-    "optim": {"adam_steps": "shared"},
-    "data": {"hold_out_every": 0, "scored_views": 0},
-}
-_FIDELITY: dict[str, list[dict[str, Any]]] = {
-    "measured": [],
-    "paper": [
-        _AS_PUBLISHED,
-        {"tsdf": {"sdf": "z", "average": "eq9"}, "seeding": {"one_per_voxel": True}, "optim": {"ssim_weight": 0.0}},
-    ],
-    "code": [_AS_PUBLISHED, {"tsdf": {"average": "int16"}}],
-}
-"""Where paper and released code agree, or the paper says nothing, both have the released code's value."""
-
-
-_PRESETS = Presets(GSFusionConfig(), _GSFUSION, _FIDELITY)
+_PRESETS = Presets("gsfusion", GSFusionConfig())
 
 
 def gsfusion(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> GSFusionConfig:
@@ -166,4 +128,4 @@ gsfusion_fidelity = _PRESETS.fidelity_of
 
 def presets() -> list[str]:
     """Names of the presets, the same for every system."""
-    return list(_GSFUSION)
+    return list(_PRESETS.of_data)

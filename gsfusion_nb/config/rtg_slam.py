@@ -147,77 +147,7 @@ class RtgSlamConfig(SystemConfig):
     data: DataConfig = field(default_factory=lambda: DataConfig(depth_min_m=0.3, depth_max_m=5.0))
 
 
-_RTG_SLAM: dict[str, dict[str, Any]] = {
-    "replica": {},
-    "tum": {
-        "window": {"every_frames": 4, "lr_sh_dc": 1e-3, "lr_sh_rest": 5e-5, "lr_log_scale": 0.02},
-        "states": {"stable_confidence": 200.0, "unstable_frames": 150},
-    },
-    "scannetpp": {
-        "window": {"every_frames": 3, "iterations": 75, "frames": 1},
-        "states": {"stable_confidence": 400.0, "unstable_frames": 200},
-        "keyframes": {"iterations": 75},
-        "data": {"depth_max_m": 10.0, "hold_out_every": 0},
-    },
-    "azure": {
-        "window": {"every_frames": 8, "frames": 3, "lr_sh_dc": 1e-3, "lr_sh_rest": 5e-5, "lr_log_scale": 2e-3},
-        "states": {"stable_confidence": 250.0, "unstable_frames": 400},
-        "data": {"depth_max_m": 2.5},
-    },
-    "room": {"data": {"width": 320, "height": 240}},
-    "online": {"final": {"passes": 0}},
-}
-
-_FIDELITY: dict[str, list[dict[str, Any]]] = {
-    "measured": [
-        {
-            "seeding": {"options": {"share": 0.1}},
-            "discs": {"opaque_alpha": 0.3, "min_cosine": 0.17, "max_offset": 3.0},
-            "window": {"lr_sh_dc": 5e-3, "lr_sh_rest": 2.5e-4, "lr_log_scale": 0.02, "draw": "newest_half"},
-            "states": {"stable_confidence": 300.0, "age": "in_view"},
-            "tracking": {"target": "hybrid", "landmarks": True},
-        }
-    ],
-    "paper": [
-        {
-            "seeding": {"options": {"fidelity": "paper"}},
-            "discs": {"max_offset": None},
-            "window": {"depth_behind_m": None},
-            "states": {"max_radius_factor": None},
-            "tracking": {"even_to_m": None, "brightness_m": None},
-        }
-    ],
-    "code": [
-        {
-            "seeding": {"options": {"fidelity": "code"}},
-            "discs": {"opaque_alpha": 0.6},
-            "window": {"weight_colour": 0.8, "anchor": "window", "draw": "newest_half", "history_max_weight": 0.5},
-            "states": {"colour_error": 0.2 / 3, "depth_error_m": 0.2, "on_error": "delete", "error_count": 9},
-            "keyframes": {"latest": 3, "random": 0, "rows": "stable", "instead_of_window": True},
-            "final": {"weight_depth": 0.0},
-            "tracking": {
-                "pyramid": (4, 2, 1),
-                "max_angle_deg": 20.0,
-                "even_to_m": None,
-                "brightness_m": None,
-                "prior": "previous",
-                "target": "hybrid",
-            },
-        }
-    ],
-}
-
-_CODE_ON: dict[str, dict[str, Any]] = {
-    "replica": {"final": {"passes": 20, "lr_factor": 4.0}},
-    "tum": {"seeding": {"options": {"fidelity": "code", "share": 50_000 / (640 * 480)}}},
-    "scannetpp": {
-        "seeding": {"options": {"fidelity": "code", "share": 68_620 / (1752 * 1168)}},
-        "keyframes": {"instead_of_window": False},
-    },
-}
-
-
-_PRESETS = Presets(RtgSlamConfig(), _RTG_SLAM, _FIDELITY, _CODE_ON)
+_PRESETS = Presets("rtg_slam", RtgSlamConfig())
 
 
 def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> RtgSlamConfig:

@@ -7,9 +7,11 @@ import inspect
 import itertools
 import math
 import textwrap
+import tomllib
 import typing
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import field, is_dataclass
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from ..checks import check_name, check_number, check_positive, shown
@@ -128,18 +130,31 @@ def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
     return dataclasses.replace(config, **changed)
 
 
-@dataclass(frozen=True)
-class Presets:
-    """Settings of a system: those published for each data set, and what each fidelity changes."""
+def _with_none(values: Any) -> Any:
+    """Values of a TOML file, which has no word for None."""
+    if isinstance(values, dict):
+        return {name: _with_none(value) for name, value in values.items()}
+    return None if values == "None" else values
 
-    start: Any
-    """The default settings."""
-    of_data: Mapping[str, dict[str, Any]]
-    """Preset -> the user's part: a seeding rule does not change it."""
-    fidelities: Mapping[str, Sequence[dict[str, Any]]]
-    """Fidelity -> layers of settings, the later ones over the earlier."""
-    of_code: Mapping[str, dict[str, Any]] = field(default_factory=dict)
-    """Preset -> a last layer of the fidelity "code"."""
+
+class Presets:
+    """Settings of a system, from ``presets.toml``: those published for each data set, and what each fidelity changes.
+
+    Args:
+        system: Its name.
+        start: Its default settings.
+    """
+
+    def __init__(self, system: str, start: Any):
+        file = Path(__file__).with_name("presets.toml")
+        published = _with_none(tomllib.loads(file.read_text(encoding="utf-8"))[system])
+        self.start = start
+        self.of_data: dict[str, dict[str, Any]] = published["data"]
+        """Preset -> the user's part: a seeding rule does not change it."""
+        self.fidelities: dict[str, dict[str, Any]] = published["fidelity"]
+        """Fidelity -> settings over the preset's."""
+        self.of_code: dict[str, dict[str, Any]] = published.get("code_on", {})
+        """Preset -> a last layer of the fidelity "code"."""
 
     def make(self, preset: str, fidelity: str, overrides: dict[str, Any]) -> Any:
         """The settings of a preset and a fidelity, with fields changed as for ``replace``.
@@ -150,8 +165,10 @@ class Presets:
         check_name("preset", preset, self.of_data)
         check_name("fidelity", fidelity, self.fidelities)
         config = replace(self.start, **self.of_data[preset])
+        own = dict(self.fidelities[fidelity])
+        like = self.fidelities.get(own.pop("like", ""), {})
         last = self.of_code.get(preset, {}) if fidelity == "code" else {}
-        for layer in (*self.fidelities[fidelity], last):
+        for layer in (like, own, last):
             config = _merge(config, layer, "")
         return replace(config, **overrides)
 
