@@ -35,6 +35,8 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from platformdirs import user_cache_path
+
 MAX_SENTENCE = 1000
 """Characters of a message; a path has at most a few hundred."""
 
@@ -232,13 +234,7 @@ def cache_folder() -> Path:
     """``$GSFUSION_CACHE``, or the folder ``gsfusion_nb`` in the place that the system has for caches."""
     if given := os.environ.get("GSFUSION_CACHE"):
         return Path(given).expanduser()
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "gsfusion_nb"
+    return user_cache_path("gsfusion_nb", appauthor=False, opinion=False)
 
 
 def _is_full(error: OSError) -> bool:

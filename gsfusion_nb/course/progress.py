@@ -20,6 +20,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from platformdirs import user_data_path
+
 from ..files import SequenceError, read_object, write_file
 
 FORMAT = 1
@@ -40,13 +42,7 @@ def course_file() -> Path | None:
         return Path(given).expanduser()
     if os.environ.get("GSNB_VIEW") == "static":
         return None
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Application Support"
-    else:
-        base = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
-    return Path(base) / "gsfusion_nb" / "course.json"
+    return user_data_path("gsfusion_nb", appauthor=False) / "course.json"
 
 
 def read_section(section: str) -> Entries:
