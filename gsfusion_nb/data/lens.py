@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -57,8 +58,6 @@ class CameraModel:
         Raises:
             ValueError: the distortion is so strong that there is none.
         """
-        import cv2
-
         if self.is_pinhole:
             return self.camera
         K, D, size = _opencv(self)
@@ -88,8 +87,6 @@ def same_rays(model: CameraModel, camera: Camera) -> bool:
 
 def pixel_map(model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Position in the image of ``model`` for each pixel of ``camera``, for ``cv2.remap``. Two float32 [H, W]"""
-    import cv2
-
     K, D, _ = _opencv(model)
     K_new, _, size = _opencv(CameraModel(camera))
     if model.fisheye:
@@ -99,8 +96,6 @@ def pixel_map(model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarra
 
 def z_of_range(range_m: np.ndarray, model: CameraModel) -> np.ndarray:
     """z-depth of distances measured along each pixel's ray: z = range / |ray with z = 1|, float32. [H, W]"""
-    import cv2
-
     height, width = range_m.shape
     K, D, _ = _opencv(model)
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
@@ -133,14 +128,10 @@ class Undistorter:
 
     def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The pair as ``camera`` sees it. Colour uint8 [H, W, 3], depth in metres [H, W]."""
-        import cv2
-
         return self.colour(rgb), cv2.remap(depth_m, self._u, self._v, cv2.INTER_NEAREST)
 
     def colour(self, rgb: np.ndarray) -> np.ndarray:
         """The colour image as ``camera`` sees it, uint8. [H, W, 3]"""
-        import cv2
-
         return cv2.remap(rgb, self._u, self._v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 

@@ -7,6 +7,7 @@ import base64
 from collections.abc import Sequence
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -69,8 +70,6 @@ def colour_depth(depth_m: MapLike, near_m: float, far_m: float) -> Picture:
 
 def error_map(rgb: ImageLike, reference: ImageLike, *, limit: float = ERROR_LIMIT) -> Picture:
     """Mean |rgb - reference| over the channels as colour (inferno): black is none, light yellow ``limit`` or more."""
-    import cv2
-
     a, b = to_uint8(rgb), to_uint8(reference)
     if a.shape != b.shape:
         raise ValueError(f"rgb and reference must have one shape, got {list(a.shape)} and {list(b.shape)}")
@@ -102,8 +101,6 @@ def paint_cells(
         by_level: Colour by depth in the tree (dark purple is coarse, yellow is fine), else light grey.
         strength: Opacity of the lines.
     """
-    import cv2
-
     image = to_uint8(rgb)
     if scale > 1:
         image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
@@ -123,8 +120,6 @@ def paint_cells(
 
 def fit_width(image: ImageLike, width: int) -> Picture:
     """The picture, at most ``width`` pixels wide; a wider one is scaled down by averaging."""
-    import cv2
-
     picture = to_uint8(image)
     h, w = picture.shape[:2]
     if w <= width:
@@ -135,22 +130,16 @@ def fit_width(image: ImageLike, width: int) -> Picture:
 
 def encode_jpeg(image: ImageLike, quality: int = 88) -> bytes:
     """JPEG bytes of an RGB picture: for photographs (640x480 in about 2 ms)."""
-    import cv2
-
     return _encode(to_uint8(image)[..., ::-1], ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
 def encode_png(image: ImageLike, compression: int = 6) -> bytes:
     """PNG bytes of an RGB picture: for drawings, where JPEG would blur the lines."""
-    import cv2
-
     return _encode(to_uint8(image)[..., ::-1], ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression])
 
 
 def encode_rgba(rgba: UInt8[np.ndarray, "H W 4"]) -> bytes:
     """PNG bytes of a picture with its opacity, written fast: for what is sent to a browser while it changes."""
-    import cv2
-
     return _encode(cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 1])
 
 
@@ -168,8 +157,6 @@ def colour_stops(name: str, n: int = 12) -> list[str]:
 
 def _encode(pixels: np.ndarray, suffix: str, options: list[int]) -> bytes:
     """Bytes of a file from pixels in OpenCV's order, blue first."""
-    import cv2
-
     done, encoded = cv2.imencode(suffix, pixels, options)
     if not done:
         raise ValueError(f"OpenCV could not encode a picture of shape {list(pixels.shape)} as {suffix}")
@@ -192,8 +179,6 @@ def _byte(unit: np.ndarray) -> np.ndarray:
 
 def _colours(name: str) -> np.ndarray:
     """The 256 RGB colours of an OpenCV colour map."""
-    import cv2
-
     ramp = np.arange(256, dtype=np.uint8)[:, None]
     return np.ascontiguousarray(cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name.upper()}"))[:, 0, ::-1])
 
@@ -210,8 +195,6 @@ def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap:
         labels: One per image, or none.
         gap: Space between images, pixels.
     """
-    import cv2
-
     if not images:
         raise ValueError("side_by_side needs at least one image, got none")
     if labels and len(labels) != len(images):
@@ -233,8 +216,6 @@ def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap:
 
 def _label(text: str, width: int) -> np.ndarray:
     """A dark strip with light text, made smaller until it fits: readable on a light and on a dark page."""
-    import cv2
-
     strip = np.full((LABEL_PX, width, 3), CARD, np.uint8)
     font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
     (text_width, _), _ = cv2.getTextSize(text, font, size, 1)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -98,8 +99,6 @@ def disc_blur(image: Float[Tensor, "H W"], radius_px: float) -> Float[Tensor, "H
 
 def canny(frame: Frame, low: float, high: float, dilate_px: int, euclidean: bool = False) -> Bool[Tensor, "H W"]:
     """OpenCV's Canny edges of the frame's grey image, widened. On the frame's device; differentiable: no."""
-    import cv2
-
     edges = cv2.Canny(_grey_levels(frame), low, high, L2gradient=euclidean)
     if dilate_px > 1:
         edges = cv2.dilate(edges, np.ones((dilate_px, dilate_px), np.uint8))
@@ -109,8 +108,6 @@ def canny(frame: Frame, low: float, high: float, dilate_px: int, euclidean: bool
 def orb_corners(frame: Frame, count: int) -> Float[Tensor, "K 2"]:
     """Centres of the pixels in which ORB's detector finds a corner, each pixel once, row by row. Unlike ORB's own
     defaults, corners near the border count, since no descriptors are computed."""
-    import cv2
-
     side = min(frame.camera.width, frame.camera.height)
     levels = min(8, 1 + int(math.log(side / SMALLEST_LEVEL_PX, 1.2)))
     orb = cv2.ORB.create(nfeatures=count, scaleFactor=1.2, nlevels=levels, edgeThreshold=BORDER_PX)
@@ -134,6 +131,4 @@ def shi_tomasi_corners(frame: Frame, count: int) -> Float[Tensor, "K 2"]:
 
 
 def _grey_levels(frame: Frame) -> np.ndarray:
-    import cv2
-
     return cv2.cvtColor(frame.rgb_u8.cpu().numpy(), cv2.COLOR_RGB2GRAY)

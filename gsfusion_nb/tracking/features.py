@@ -5,6 +5,7 @@ import functools
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -93,8 +94,6 @@ def extract_features(frame: Frame, *, count: int, levels: int) -> Features:
     """
     if count < 1 or levels < 1:
         raise ValueError(f"count and levels must be at least 1, got {count} and {levels}")
-    import cv2
-
     grey = cv2.cvtColor(frame.rgb_u8.cpu().numpy(), cv2.COLOR_RGB2GRAY)
     orb = _orb(DETECTED_PER_KEPT * count, levels)
     corners = orb.detect(grey, None)
@@ -113,8 +112,6 @@ def extract_features(frame: Frame, *, count: int, levels: int) -> Features:
 
 @functools.lru_cache(maxsize=8)
 def _orb(count: int, levels: int) -> Any:
-    import cv2
-
     return cv2.ORB.create(nfeatures=count, scaleFactor=SCALE_FACTOR, nlevels=levels, fastThreshold=FAST_THRESHOLD)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
@@ -80,8 +81,6 @@ def match_features(query: Features, reference: Features) -> Int[Tensor, "P 2"]:
 
 def _nearest(a: ndarray, b: ndarray, k: int) -> tuple[ndarray, ndarray]:
     """Hamming distances to the ``k`` nearest rows of ``b``, and those rows. [A, k] each"""
-    import cv2
-
     return cv2.batchDistance(a, b, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=k)
 
 
@@ -153,8 +152,6 @@ _ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
 
 
 def _ransac(rows: LandmarkRows) -> Float[Tensor, "4 4"] | None:
-    import cv2
-
     found, rotation, translation, inliers = cv2.solvePnPRansac(
         rows.xyz_W,
         rows.uv,

@@ -9,6 +9,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import anywidget
+import cv2
 import traitlets as t
 
 from ..drawing.curves import curve_figure as curve_figure
@@ -50,7 +51,6 @@ def show(
         scale: Size on screen, screen pixels per image pixel.
         alt: What it shows, for screen readers and for pages made from the notebook; by default the labels.
     """
-    import cv2
     from IPython.display import Image
 
     row: list[Any] = list(images) if isinstance(images, (list, tuple)) else [images]

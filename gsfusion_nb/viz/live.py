@@ -10,6 +10,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 
 from ..drawing.curves import small_curves
@@ -87,8 +88,6 @@ class LiveView:
 
     def picture(self) -> Picture:
         """The pictures with the curves below, as a stored notebook shows them."""
-        import cv2
-
         with self.lock:
             picture, curves = self._mosaic(), self._curves(self._width)
         if picture is None:

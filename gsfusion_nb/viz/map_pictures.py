@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -115,8 +116,6 @@ def depth_picture(view: RenderOutput) -> Picture:
 
 def _with_scale(picture: Picture, colours: np.ndarray, low: str, high: str) -> Picture:
     """A colour bar with the values at its ends, over a dark strip in the lower left corner."""
-    import cv2
-
     height, width = picture.shape[:2]
     font, size, bar = cv2.FONT_HERSHEY_SIMPLEX, 0.4, min(110, width // 3)
     ends = [cv2.getTextSize(text, font, size, 1)[0][0] for text in (low, high)]

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
@@ -157,7 +158,6 @@ def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped
     s = repair.rgb_scale
     if shift == (0.0, 0.0) and s == 1.0:
         return rgb
-    import cv2
     import numpy as np
 
     size = (rgb.shape[1], rgb.shape[0])

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Int, Shaped
@@ -43,8 +44,6 @@ def nearest_source(size: int, source_size: int) -> Int[Tensor, " S"]:
 
 def resize_colour(rgb: np.ndarray, width: int, height: int) -> np.ndarray:
     """Colour averaged over the area that a new pixel covers, or interpolated linearly when enlarged. [h, w, ...]"""
-    import cv2
-
     if rgb.shape[1::-1] == (width, height):
         return rgb
     shrinks = width <= rgb.shape[1] and height <= rgb.shape[0]

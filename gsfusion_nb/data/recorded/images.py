@@ -9,6 +9,7 @@ import re
 import struct
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from ...files import IMAGE_BYTES, parsing, read_bytes
@@ -51,8 +52,6 @@ def _tell_of_turned(folder: Path) -> None:
 
 def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:
     """``read_rgb`` of an encoded image in memory; ``source`` is its name for messages."""
-    import cv2
-
     bgr = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, source, "colour")
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
@@ -71,8 +70,6 @@ def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np
     Raises:
         BadFrameError: the file is missing, truncated, not 16-bit single-channel, or holds no valid pixel.
     """
-    import cv2
-
     raw = decode_image(read_image_bytes(path, "depth"), cv2.IMREAD_UNCHANGED, path, "depth")
     if raw.dtype != np.uint16 or raw.ndim != 2:
         channels = 1 if raw.ndim == 2 else raw.shape[2]
@@ -104,8 +101,6 @@ def read_image_bytes(path: Path, kind: str) -> bytes:
 
 def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.ndarray:
     """Pixels of an encoded image, as ``cv2.imdecode`` returns them. Raises ``BadFrameError`` naming ``source``."""
-    import cv2
-
     if _is_cut(data):
         raise BadFrameError(f"{source} is truncated; expected a whole {kind} image, but its end mark is missing")
     check_image_size(data, source, kind)

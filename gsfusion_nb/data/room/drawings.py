@@ -8,6 +8,7 @@ fractions of the picture's size.
 from collections.abc import Callable
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy import ndarray
 
@@ -18,8 +19,6 @@ Draw = Callable[[int, int, float, np.random.Generator], ndarray]
 
 def noise(w: int, h: int, cell_w_px: float, cell_h_px: float, rng: np.random.Generator) -> ndarray:
     """Smooth random field in about -1..1 whose features are ``cell`` pixels large. [h, w] float32"""
-    import cv2
-
     shape = (max(2, int(np.ceil(h / max(cell_h_px, 1))) + 1), max(2, int(np.ceil(w / max(cell_w_px, 1))) + 1))
     coarse = rng.uniform(-1, 1, shape).astype(np.float32)
     return cv2.resize(coarse, (w, h), interpolation=cv2.INTER_CUBIC)
@@ -124,8 +123,6 @@ def rug(
 
 def wallpaper(w, h, texel_m, rng, colour: Colour, ink: Colour, cell_m: float = 0.22) -> ndarray:
     """Rows of leaf sprigs, every second row shifted by half."""
-    import cv2
-
     out = paint(w, h, texel_m, rng, colour, 0.04)
     rgb = tuple(int(255 * c) for c in ink)
     cell = cell_m / texel_m
@@ -174,8 +171,6 @@ def write(
     image: ndarray, text: str, box: tuple[Number, Number, Number, Number], colour: Colour, serif: bool = False
 ) -> None:
     """Draw ``text`` centred in ``box`` (x, y, width, height), as large as possible."""
-    import cv2
-
     font = cv2.FONT_HERSHEY_TRIPLEX if serif else cv2.FONT_HERSHEY_DUPLEX
     h, w = image.shape[:2]
     x, y, bw, bh = box[0] * w, box[1] * h, box[2] * w, box[3] * h
@@ -194,8 +189,6 @@ def _pixels(image: ndarray, points: list[tuple[Number, Number]]) -> ndarray:
 
 def poly(image: ndarray, points: list[tuple[Number, Number]], colour: Colour) -> None:
     """A filled polygon."""
-    import cv2
-
     cv2.fillPoly(image, [_pixels(image, points)], rgb255(colour), cv2.LINE_AA)
 
 
@@ -211,16 +204,12 @@ def outline(image: ndarray, x: Number, y: Number, w: Number, h: Number, colour: 
 
 def dot(image: ndarray, x: Number, y: Number, r: Number, colour: Colour) -> None:
     """A filled circle; ``r`` as a fraction of the width."""
-    import cv2
-
     h, w = image.shape[:2]
     cv2.circle(image, (round(x * w), round(y * h)), max(1, round(r * w)), rgb255(colour), -1, cv2.LINE_AA)
 
 
 def line(image: ndarray, points: list[tuple[Number, Number]], colour: Colour, width_px: int = 1) -> None:
     """An open polyline."""
-    import cv2
-
     cv2.polylines(image, [_pixels(image, points)], False, rgb255(colour), max(1, width_px), cv2.LINE_AA)
 
 

@@ -8,6 +8,7 @@ hand_held/
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from ...geometry import quaternion
@@ -17,8 +18,6 @@ from .sequence import RoomSequence
 
 def write_rgb(path: Path, rgb: np.ndarray) -> None:
     """Write an RGB image, uint8 [H, W, 3], as ``.jpg`` (quality 97, colour at full resolution) or ``.png``."""
-    import cv2
-
     path.parent.mkdir(parents=True, exist_ok=True)
     jpeg = path.suffix.lower() == ".jpg"
     whole_colour = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
@@ -28,8 +27,6 @@ def write_rgb(path: Path, rgb: np.ndarray) -> None:
 
 def write_depth(path: Path, depth_m: np.ndarray, scale: float) -> None:
     """Write depth in metres [H, W] as a 16-bit PNG with ``scale`` units per metre; 0 stays 0."""
-    import cv2
-
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(cv2.imencode(".png", np.rint(depth_m * scale).astype(np.uint16))[1].tobytes())
 
@@ -124,8 +121,6 @@ def _pose_lines(sequence: RoomSequence, made: HandHeld) -> list[str]:
 
 def _photographed(rgb: np.ndarray, k: int, made: HandHeld) -> np.ndarray:
     """The colour image with blur, exposure and shift of this recording."""
-    import cv2
-
     image = rgb
     if k in made.blurred:
         image = cv2.blur(image, (max(9, made.width // 12), 1))

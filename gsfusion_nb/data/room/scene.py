@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy import ndarray
 
@@ -46,7 +47,6 @@ def cached(
 
 def _store(path: Path, arrays: dict[str, ndarray]) -> None:
     """Save arrays in one archive with checksums, uint8 and uint16 ones as PNGs; failing to write is only logged."""
-    import cv2
 
     def encoded(v: ndarray) -> ndarray:
         is_image = v.dtype in (np.uint8, np.uint16)
@@ -66,8 +66,6 @@ def _warn_once(folder: str, reason: str) -> None:
 
 def _load(path: Path) -> dict[str, ndarray] | None:
     """Arrays written by ``_store``; None where they are absent or damaged."""
-    import cv2
-
     try:
         with np.load(io.BytesIO(read_bytes(path, "cached arrays")), allow_pickle=False) as archive:
             arrays: dict[str, Any] = {name: archive[name] for name in archive.files}
@@ -131,8 +129,6 @@ def paste(level0: ndarray, layout: AtlasLayout, i: int, picture: ndarray, wraps:
 
 def with_mips(level0: ndarray) -> ndarray:
     """The level-0 picture [H, WIDTH, 3] with its box-filtered mip levels beside it. [H, 1.5 WIDTH, 3]"""
-    import cv2
-
     height = level0.shape[0]
     out = np.zeros((height, WIDTH + WIDTH // 2, 3), np.uint8)
     out[:, :WIDTH] = level0
@@ -154,8 +150,6 @@ def level_offsets(height: int) -> tuple[ndarray, ndarray]:
 
 def texels(atlas: ndarray, x: ndarray, y: ndarray) -> ndarray:
     """Bilinear texels at columns and rows of the combined picture. [N] -> [N, 3] uint8"""
-    import cv2
-
     n = x.size
     side = 1024 if n >= 1024 else n  # cv2.remap takes pictures of fewer than 2^15 rows and columns
     padded = np.zeros((2, -(-n // side) * side), np.float32)
@@ -224,8 +218,6 @@ def load_scene(seed: int, cache: bool = True) -> Scene:
 
 def version() -> str:
     """Version of cached images: that of this room, and that of OpenCV, which draws its text."""
-    import cv2
-
     return f"{SCENE_VERSION} opencv {cv2.__version__}"
 
 
@@ -282,8 +274,6 @@ def _exposed(light: ndarray) -> ndarray:
 
 
 def _lit(picture: ndarray, paint: Paint, light: ndarray) -> ndarray:
-    import cv2
-
     if paint.glow > 0:
         return np.clip(picture * np.float32(paint.glow), 0, 255).astype(np.uint8)
     h, w = picture.shape[:2]

@@ -5,6 +5,7 @@ findings on it.
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -101,8 +102,6 @@ def _may_be_time(shifts: list[tuple[float, float]], speeds: list[np.ndarray]) ->
 
 def _speed(f: FrameFacts, there: dict[int, FrameFacts]) -> Float[np.ndarray, " 2"]:
     """Motion of the image's content to the next frame by phase correlation, pixels of the depth images."""
-    import cv2
-
     a, b = (cv2.GaussianBlur(g.grey.astype(np.float32), (0, 0), 1.5) for g in (f, there.get(f.place + 1, f)))
     moved = cv2.phaseCorrelate(a, b, cv2.createHanningWindow(a.shape[1::-1], cv2.CV_32F))[0]
     return np.array(moved) * (f.depth_m.shape[1] / a.shape[1])
@@ -142,8 +141,6 @@ def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 def colour_contrast(grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
     """Gradient of the grey image divided by its mean in the neighbourhood (so that texture has little weight), at most
     4."""
-    import cv2
-
     image = grey.astype(np.float32)
     if image.shape != tuple(shape):
         image = cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
@@ -154,8 +151,6 @@ def colour_contrast(grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> F
 
 def _closed(depth_m: np.ndarray, reach: int = 5) -> np.ndarray:
     """Depth in which holes of at most ``2 * reach`` pixels in a row are filled with the farther side."""
-    import cv2
-
     closed = cv2.morphologyEx(depth_m, cv2.MORPH_CLOSE, np.ones((1, 2 * reach + 1)))
     narrow = (depth_m <= 0) & (closed > 0)
     return np.where(narrow, cv2.dilate(depth_m, np.ones((1, 4 * reach + 1))), depth_m)
@@ -167,8 +162,6 @@ def _transforms(contrast: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def _size(shape: tuple[int, ...]) -> tuple[int, ...]:
-    import cv2
-
     return tuple(cv2.getOptimalDFTSize(n + 2 * REACH_PX) for n in shape)
 
 

@@ -3,6 +3,7 @@
 from collections import abc
 from typing import Any
 
+import cv2
 import torch
 
 from ...config import RepairConfig
@@ -55,8 +56,6 @@ def pictures_of(
 
 def depth_error(first: Frame, second: Frame) -> Picture:
     """Depth of ``first`` moved into ``second``, compared with the depth there; light yellow: 10 cm or more."""
-    import cv2
-
     # sparse points leave holes, so the target has half the resolution
     step = max(1, round(first.camera.width / (_WIDTH / 2)))
     camera, depth_b = thinned(second.camera, second.depth_m, step)
@@ -69,8 +68,6 @@ def depth_error(first: Frame, second: Frame) -> Picture:
 
 def edge_overlay(frame: Frame) -> Picture:
     """The colour image with the depth image's edges drawn in."""
-    import cv2
-
     picture = fit_width(frame.colour, _WIDTH)
     _, depth_m = thinned(frame.camera, frame.depth_m, max(1, round(frame.camera.width / 320)))
     h, w = picture.shape[:2]

@@ -17,6 +17,7 @@ import math
 from collections import abc
 from dataclasses import dataclass
 
+import cv2
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -284,7 +285,6 @@ def _normal_equations(
 
 
 def _blurred(f: FrameFacts, blur: float) -> Float[Tensor, "h w"]:
-    import cv2
     import numpy as np
 
     sigma_px = max(0.7, blur * f.grey.shape[1])

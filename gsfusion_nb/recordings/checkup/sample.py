@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
@@ -100,8 +101,6 @@ def read_sample(sequence: Sequence, *, frames: int = 250, at: list[int] | None =
 
 
 def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
-    import cv2
-
     grey = cv2.cvtColor(frame.rgb_u8.numpy(), cv2.COLOR_RGB2GRAY)
     h, w = grey.shape
     if w > GREY_WIDTH:

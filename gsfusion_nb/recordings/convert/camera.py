@@ -5,6 +5,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 
@@ -117,8 +118,6 @@ class Rectifier:
         return RgbdImages(rgb, depth_m, images.encoded if rgb is images.rgb else b"")
 
     def _colour(self, rgb: np.ndarray, model: CameraModel) -> np.ndarray:
-        import cv2
-
         native = self.camera.resized(model.camera.width, model.camera.height)
         if not same_rays(model, native):
             rgb = cv2.remap(rgb, *_map(model, native), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -139,8 +138,6 @@ class Rectifier:
         return warp_depth(flat, pinhole, self.camera, frame.T_colour_depth).numpy()
 
     def _nearest(self, depth_m: np.ndarray, model: CameraModel, camera: Camera) -> np.ndarray:
-        import cv2
-
         if same_rays(model, camera):
             return depth_m
         u, v = _map(model, camera)

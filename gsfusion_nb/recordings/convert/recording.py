@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 from torch import Tensor
@@ -163,8 +164,6 @@ def read_depth_file(path: Path, scale: float) -> np.ndarray:
         path: One channel of 16-bit or float numbers.
         scale: Stored value of one metre.
     """
-    import cv2
-
     if path.suffix.lower() == ".npy":
         return metres(_numpy_array(path), scale)
     if path.suffix.lower() == ".exr":

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 
 from ...drawing.pictures import LABEL_PX, Picture
@@ -266,8 +267,6 @@ REACH_PX = 26.0
 
 def draw_handles(picture: Picture, handles: Mapping[str, Point]) -> Picture:
     """A copy of the picture with a ringed disc at each handle (u, v)."""
-    import cv2
-
     image = picture.copy()
     for u, v in handles.values():
         at = (round(16 * min(max(u, -1e4), 1e4)), round(16 * min(max(v, -1e4), 1e4)))

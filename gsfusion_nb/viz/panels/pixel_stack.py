@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -347,8 +348,6 @@ def with_cross(image: AnyImage, u: int, v: int, height: int) -> Picture:
 
 def draw_cross(picture: Picture, at: tuple[float, float]) -> Picture:
     """A copy of the picture with a small cross around a point (u, v), pixels, open in the middle."""
-    import cv2
-
     image, (x, y) = picture.copy(), (round(at[0] - 0.5), round(at[1] - 0.5))
     for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         inner, outer = ((x + r * dx, y + r * dy) for r in (4, 12))
@@ -359,8 +358,6 @@ def draw_cross(picture: Picture, at: tuple[float, float]) -> Picture:
 
 def resize_to_height(image: AnyImage, height: int) -> Picture:
     """The picture at another height, pixels; enlarged pixels stay sharp squares."""
-    import cv2
-
     picture = to_uint8(image)
     zoom = height / picture.shape[0]
     how = cv2.INTER_AREA if zoom < 1 else cv2.INTER_NEAREST
@@ -374,8 +371,6 @@ def ellipse_picture(splats: Splats, height: int) -> Picture:
         splats: The Gaussians on the screen.
         height: Of the picture, pixels.
     """
-    import cv2
-
     p, camera = splats.projection, splats.camera
     zoom = height / camera.height
     view = np.full((height, round(camera.width * zoom), 3), 32, np.uint8)

@@ -5,6 +5,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
@@ -72,8 +73,6 @@ def cell_means(rgb_u8: UInt8[Tensor, "H W 3"], cells: Cells) -> UInt8[Tensor, "H
 
 
 def _discs(photo: Picture, cells: Cells) -> Picture:
-    import cv2
-
     picture = np.zeros_like(photo)
     centres, radii = cells.centre_uv.tolist(), cells.half_diagonal_px.tolist()
     for k in cells.half_diagonal_px.argsort(descending=True).tolist():  # the largest first

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -86,8 +87,6 @@ def distance_colours(D: Float[np.ndarray, "H W"] | Float[Tensor, "H W"]) -> Pict
 
 def draw_camera(picture: Picture, camera: Camera, T_WC: Float[Tensor, "4 4"], *, reach_m: float | int = 1.2) -> Picture:
     """A copy of a slice of the usual extent with a dot at the camera, and the left and right edge of what it sees."""
-    import cv2
-
     T = T_WC.detach().cpu().double().numpy()
     edges = [np.array([(u - camera.cx) / camera.fx, 0.0, 1.0]) * reach_m for u in (0.0, float(camera.width))]
     points = [slice_pixel(*p[:2]) for p in (T[:3, 3], *(T[:3, :3] @ e + T[:3, 3] for e in edges))]

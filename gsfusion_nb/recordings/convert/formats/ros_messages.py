@@ -4,6 +4,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -29,8 +30,6 @@ def colour_of(message: Any, source: str) -> tuple[np.ndarray, bytes]:
     Raises:
         SequenceError: unknown encoding. BadFrameError: too few bytes, or a damaged image.
     """
-    import cv2
-
     if hasattr(message, "format"):
         data = bytes(message.data)
         return decode_rgb(data, source), data if is_picture_file(data) else b""
@@ -83,8 +82,6 @@ def _compressed_depth(data: bytes, format: str, source: str, scale: float) -> np
 
     Header: int32 kind, float32 a, float32 b. 16UC1 is stored as it is; a 32FC1 z as q = a / z + b, 0 = missing.
     """
-    import cv2
-
     if "rvl" in format:
         raise SequenceError(
             f"{source} is packed as RVL ({shown(format)}); expected PNG: record or republish it uncompressed"
