@@ -32,7 +32,6 @@ PACKAGES = (
 
 OPTIONAL = {
     "triton": "some of the kernels for GPUs: pip install 'gsfusion-nb[gpu]'",
-    "rerun-sdk": "recordings for the Rerun viewer: pip install 'gsfusion-nb[rerun]'",
     "lpips": "LPIPS metric: pip install 'gsfusion-nb[lpips]'",
 }
 

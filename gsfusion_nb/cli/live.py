@@ -9,7 +9,7 @@ import tyro
 from ..backends import use_backend
 from ..checks import check_name
 from ..data.stream import GrowingFolder, LiveSource, RealSense
-from .result import print_result, rerun_file
+from .result import print_result
 from .settings import SettingsOptions, parse
 
 if TYPE_CHECKING:
@@ -44,10 +44,6 @@ class LiveOptions(SettingsOptions):
     checkpoint_every_s: float = 30.0
     """Save the state of the scan this often, seconds, so that the map is kept if the process is killed; less often if
     saving takes more than 3 % of the time. 0: never."""
-
-    rerun: str = ""
-    """Also write a file for the Rerun viewer, FILE.rrd: frames, poses, the growing maps, scores (the extra "rerun").
-    It takes time between two frames."""
 
     def source(self) -> LiveSource:
         """The source of the frames."""
@@ -127,7 +123,6 @@ def live(arguments: list[str]) -> "FinishedRun":
             source,
             make_mapper(_settings(options, source), device=options.device),
             policy=options.policy or None,
-            watch=rerun_file(options.rerun) if options.rerun else None,
             folder=options.out or None,
             evaluate=options.evaluate,
             on_stop="finish",

@@ -7,12 +7,12 @@ import tyro
 
 from ..backends import use_backend
 from ..seeding.rule_code import is_rule_file
-from .result import new_rerun_file, print_result, rerun_file
+from .result import print_result
 from .settings import SettingsOptions, named_values, parse
 
 _WITH_RESUME = (
     "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
-    "--checkpoint-every-frames", "--rerun",
+    "--checkpoint-every-frames",
 )  # fmt: skip
 
 
@@ -36,9 +36,6 @@ class MapOptions(SettingsOptions):
     from_gaussians: str = ""
     """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the recording's poses; they
     are optimised with the new ones. GSFusion only."""
-    rerun: str = ""
-    """Also write a file for the Rerun viewer, FILE.rrd: frames, poses, the growing maps, scores (the extra "rerun").
-    With --resume a new file, which holds what comes after the interruption."""
     resume: str = ""
     """Folder of an interrupted run to continue; no other option is needed."""
     evaluate: bool = True
@@ -64,21 +61,18 @@ def run(arguments: list[str]) -> int:
         options.check_device()
         if options.resume:
             _refuse_more(options, arguments)
-            watch = new_rerun_file(options.rerun, "what was mapped before") if options.rerun else None
             finished = resume_mapping(
                 options.resume,
                 seeding=options.config.seeding.rule if is_rule_file(options.config.seeding.rule) else None,
                 device=options.device,
                 evaluate=options.evaluate,
                 checkpoints=every,
-                watch=watch,
             )
             return print_result(finished)
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
         reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
         reader |= named_values(options.reader)
-        watch = rerun_file(options.rerun) if options.rerun else None
         finished = run_mapping(
             options.data,
             options.settings(),
@@ -87,7 +81,6 @@ def run(arguments: list[str]) -> int:
             evaluate=options.evaluate,
             checkpoints=every,
             from_gaussians=options.from_gaussians or None,
-            watch=watch,
             **reader,
         )
     return print_result(finished)

@@ -1,11 +1,9 @@
-"""What a command prints of a run, and the file for the Rerun viewer that it may write."""
+"""What a command prints of a run."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ..runs import FinishedRun
-    from ..viz.rerun_file import RerunFile
 
 
 def print_result(run: "FinishedRun") -> int:
@@ -39,21 +37,3 @@ def print_metrics(metrics: dict[str, Any]) -> None:
             print(group)
         for label, value in rows:
             print(f"  {label:<28} {value}")
-
-
-def rerun_file(path: str) -> "RerunFile":
-    """Watches a run and writes the file ``path``; one that exists is replaced."""
-    from ..viz.rerun_file import RerunFile
-
-    return RerunFile(path)
-
-
-def new_rerun_file(path: str, holds: str) -> "RerunFile":
-    """As ``rerun_file``.
-
-    Raises:
-        FileExistsError: there is a file, which may hold what cannot be written again.
-    """
-    if Path(path).exists():
-        raise FileExistsError(f"{path} exists and may hold {holds}; give --rerun the name of a new file")
-    return rerun_file(path)

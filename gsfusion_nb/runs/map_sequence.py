@@ -61,7 +61,7 @@ def run_mapping(
         checkpoints: How often to save a checkpoint, so that the run can be resumed if it is killed; every 30 s by
             default.
         from_gaussians: File of Gaussians (``read_gaussian_ply``) that the map begins with, in the frame of the poses.
-        watch: Sees every mapped frame and the finished maps, such as ``viz.rerun_file.RerunFile``.
+        watch: Sees every mapped frame and the finished maps; ``docs/outputs.md`` has one for the Rerun viewer.
         loss, optimiser: Instead of the system's own loss and Adam (``Mapper``); metrics.json and config.json name them.
         reader_options: For ``open_sequence``: ``format``, options of the reader.
 
