@@ -92,7 +92,7 @@ def growing(path: Path) -> None:
 
 
 def convert(path: Path) -> None:
-    from gsfusion_nb.data.readers import folder
+    from gsfusion_nb.data import folder
     from gsfusion_nb.recordings import convert as converters
 
     out = path.parent / "converted-by-the-campaign"

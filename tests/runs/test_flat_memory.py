@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.config import replace
-from gsfusion_nb.data import RecordedSequence, apply_options
-from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data import RecordedSequence, apply_options, folder
 from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun, StreamRun

@@ -3,12 +3,4 @@
 A new reader is one new file here: a function that reads a folder, and ``LAYOUT``, which says how to recognise one.
 The name of the file is the name of the layout, which ``open_sequence``, the command line and the check of a recording
 then know. Layouts are tried in alphabetical order; the first whose files are all there is taken.
-
-The imports below are only for use in Python, ``readers.tum(folder)``: a layout is found without them.
 """
-
-from .folder import folder as folder
-from .replica import replica as replica
-from .scannetpp import scannetpp as scannetpp
-from .seven_scenes import seven_scenes as seven_scenes
-from .tum import tum as tum

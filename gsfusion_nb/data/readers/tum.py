@@ -17,7 +17,7 @@ from ...checks import shown
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
 from ..recorded.files import given_name, natural_order, require
-from ..recorded.poses import interpolate_rows, matrices, no_poses, read_stamped_poses
+from ..recorded.poses import checked_rows, interpolate_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import associate, judge_stamps, read_image_list
 from ..sequence import SequenceError
@@ -138,8 +138,9 @@ def _stream(path: Path) -> tuple[list[float], list[Path]]:
 
 
 def _with_poses(path: Path, frames: list[tuple[float, int, int]]) -> list[tuple[float, int, int, Float[Tensor, " 7"]]]:
-    """Frames whose time has a ground-truth pose, with that pose."""
-    stamps, rows = read_stamped_poses(path)
+    """Frames whose time has a ground-truth pose, with that pose. Rows with NaN or infinities count as no pose."""
+    table, _ = checked_rows(read_rows(path, 8, "timestamp tx ty tz qx qy qz qw"), path)
+    stamps, rows = table[:, 0].contiguous(), table[:, 1:]
     found = ((t, d, c, interpolate_rows(stamps, rows, t, max_gap_s=MAX_POSE_GAP_S)) for t, d, c in frames)
     return [(t, d, c, row) for t, d, c, row in found if row is not None]
 

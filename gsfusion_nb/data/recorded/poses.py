@@ -73,19 +73,6 @@ def checked_pose(T_WC: Float[Tensor, "4 4"], source: str) -> Float[Tensor, "4 4"
     return T_WC.to(torch.float32)
 
 
-def read_stamped_poses(path: Path) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 7"]]:
-    """Times, and rows ``tx ty tz qx qy qz qw`` with unit quaternions, in order of time. float64. [N], [N, 7]
-
-    Rows with NaN or infinities are left out: there is no pose at that time.
-
-    Raises:
-        SequenceError: a row that is not 8 numbers, a quaternion whose length is not 1 within 1e-2, or two different
-            poses at one time.
-    """
-    table, _ = checked_rows(read_rows(path, 8, "timestamp tx ty tz qx qy qz qw"), path)
-    return table[:, 0].contiguous(), table[:, 1:]
-
-
 def checked_rows(
     table: Float[Tensor, "N 8"], path: Path, *, ordered: bool = False
 ) -> tuple[Float[Tensor, "M 8"], list[str]]:

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data import SequenceError, folder
 from gsfusion_nb.data.adjust.depth_agreement import (
     agreeing_share,
     depth_agreement,
@@ -13,7 +13,6 @@ from gsfusion_nb.data.adjust.depth_agreement import (
     sparse_points,
     thinned,
 )
-from gsfusion_nb.data.readers import folder
 from gsfusion_nb.geometry import depth_to_points, se3
 from gsfusion_nb.types import Camera
 

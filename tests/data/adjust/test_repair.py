@@ -9,9 +9,8 @@ import torch
 
 from gsfusion_nb.config import DataConfig, RepairConfig
 from gsfusion_nb.config.parts import AXES, NAMED_AXES
-from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence, repaired
+from gsfusion_nb.data import BadFrameError, SequenceError, folder, open_sequence, repaired
 from gsfusion_nb.data.adjust.poses import pose_between, reread_poses
-from gsfusion_nb.data.readers import folder
 from gsfusion_nb.geometry import quaternion, se3
 
 

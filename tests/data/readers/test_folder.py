@@ -8,9 +8,8 @@ import pytest
 import torch
 
 from gsfusion_nb.config import DataConfig
-from gsfusion_nb.data import BadFrameError, Sequence, SequenceError, open_sequence
+from gsfusion_nb.data import BadFrameError, Sequence, SequenceError, folder, open_sequence
 from gsfusion_nb.data.adjust.depth_agreement import depth_agreement
-from gsfusion_nb.data.readers import folder
 
 REAL = {"redkitchen_mini48": 48, "redkitchen250": 250, "livingroom1_clean211": 211}
 

@@ -5,8 +5,7 @@ import json
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError, open_sequence
-from gsfusion_nb.data.readers import replica
+from gsfusion_nb.data import SequenceError, open_sequence, replica
 from gsfusion_nb.types import Camera
 
 

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import DataConfig
-from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence
-from gsfusion_nb.data.readers import scannetpp
+from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence, scannetpp
 
 TRAIN = ["DSC00003.JPG", "DSC00001.JPG", "DSC00002.JPG"]  # the lists' order, not the alphabet's
 TEST = ["DSC00005.JPG"]

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError, open_sequence
+from gsfusion_nb.data import SequenceError, open_sequence, seven_scenes
 from gsfusion_nb.data.lens import warp_depth
-from gsfusion_nb.data.readers import seven_scenes
 from gsfusion_nb.data.readers.seven_scenes import COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR
 from gsfusion_nb.types import Camera
 

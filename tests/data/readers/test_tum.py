@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data import SequenceError, tum
 from gsfusion_nb.data.adjust.depth_agreement import depth_agreement
 from gsfusion_nb.data.lens import CameraModel, Undistorter
-from gsfusion_nb.data.readers import tum
 from gsfusion_nb.data.readers.tum import LENSES
 from gsfusion_nb.data.recorded.poses import interpolate_rows
 from gsfusion_nb.geometry import quaternion

@@ -9,8 +9,7 @@ import pytest
 
 from gsfusion_nb.backends import _choice, use_backend
 from gsfusion_nb.config import DataConfig, RepairConfig
-from gsfusion_nb.data import BadFrameError, SequenceError
-from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data import BadFrameError, SequenceError, folder
 from gsfusion_nb.data.stream import BackgroundFrames, LiveSource, SelectedFrames, read_ahead
 from gsfusion_nb.types import Frame
 

@@ -5,8 +5,7 @@ from typing import Any
 import pytest
 import torch
 
-from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError
-from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError, folder
 from gsfusion_nb.data.stream import GrowingFolder
 from gsfusion_nb.types import Frame
 

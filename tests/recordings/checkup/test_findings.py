@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import RepairConfig
-from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data import folder
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.checkup.frames import OverFrames, exposure_finding
 from gsfusion_nb.recordings.checkup.stored_values import pose_matrices, time_stamps

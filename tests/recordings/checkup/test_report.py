@@ -139,8 +139,8 @@ def test_seven_scenes_is_told_to_register(shared_sequence, tmp_path):
     """Colour of a second camera, in the layout of 7-Scenes: the reader has a better repair than a shift."""
     import cv2
 
+    from gsfusion_nb.data import seven_scenes
     from gsfusion_nb.data.lens import warp_depth
-    from gsfusion_nb.data.readers import seven_scenes
     from gsfusion_nb.data.readers.seven_scenes import DEPTH_CAMERA, T_DEPTH_COLOUR
 
     view = open_sequence(shared_sequence("redkitchen250"), data=DataConfig(start=200, stop=230, hold_out_every=0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data import folder
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.types import Camera

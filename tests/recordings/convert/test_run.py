@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.cli import main
-from gsfusion_nb.data import SequenceError
-from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data import SequenceError, folder
 from gsfusion_nb.recordings.convert import ConvertOptions, convert
 from gsfusion_nb.recordings.convert.run import _Conversion
 

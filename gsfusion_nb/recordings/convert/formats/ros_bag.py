@@ -21,13 +21,12 @@ from torch import Tensor
 
 from ....checks import shown
 from ....data.lens import CameraModel
-from ....data.recorded.poses import interpolate_rows, matrices
 from ....data.recorded.times import associate
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import open_regular, parsing
 from ..camera import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
-from ..trajectory import camera_in_body
+from ..trajectory import Trajectory, camera_in_body
 from .ros_messages import (
     POSE_TYPES,
     TransformTree,
@@ -300,12 +299,7 @@ def _pose_lookup(bag: _Bag, options: ConvertOptions, notes: list[str]):
                 "a body, give --T-body-cam"
             )
     T_BC = torch.eye(4, dtype=torch.float64) if T_body_cam is None else T_body_cam
-
-    def pose_at(time_s: float) -> Float[Tensor, "4 4"] | None:
-        row = interpolate_rows(stamps, rows, time_s, max_gap_s=gap)
-        return None if row is None else matrices(row[None])[0] @ T_BC
-
-    return pose_at
+    return Trajectory(path=bag.pose, stamps_s=stamps, rows=rows, T_body_cam=T_BC, max_gap_s=gap).pose_at
 
 
 _LARGE_BYTES = 1 << 20

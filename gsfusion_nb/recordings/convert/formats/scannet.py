@@ -146,7 +146,9 @@ def read_sens(path: Path, options: ConvertOptions) -> Recording:
     with open_regular(path, "a ScanNet .sens file") as file:
         header = _read_header(file, path)
     scale = options.depth_scale or header.units_per_m
-    T_colour_depth, T_rig_colour = registration(header.extrinsic_colour, header.extrinsic_depth)
+    T_rig_colour = header.extrinsic_colour
+    T_colour_depth = se3.inverse(T_rig_colour) @ header.extrinsic_depth
+    is_one_camera = torch.allclose(T_colour_depth, torch.eye(4, dtype=torch.float64), atol=1e-5)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         with open_regular(path, "a ScanNet .sens file") as file:
@@ -160,7 +162,7 @@ def read_sens(path: Path, options: ConvertOptions) -> Recording:
                     time_s=colour_us / 1e6 if colour_us else i / FRAMES_PER_S,
                     model=header.colour,
                     depth_model=header.depth,
-                    T_colour_depth=T_colour_depth,
+                    T_colour_depth=None if is_one_camera else T_colour_depth,
                     T_WC=torch.tensor(pose, dtype=torch.float64).reshape(4, 4) @ T_rig_colour,
                     load=partial(_load, data, header, scale, source),
                 )
@@ -172,14 +174,6 @@ def read_sens(path: Path, options: ConvertOptions) -> Recording:
         depth_scale=scale,
         notes=(f"depth read as {scale:g} per metre",),
     )
-
-
-def registration(
-    T_rig_colour: Float[Tensor, "4 4"], T_rig_depth: Float[Tensor, "4 4"]
-) -> tuple[Float[Tensor, "4 4"] | None, Float[Tensor, "4 4"]]:
-    """From depth camera to colour camera (None if they are one), and from colour camera to the posed rig."""
-    T = se3.inverse(T_rig_colour) @ T_rig_depth
-    return (None if torch.allclose(T, torch.eye(4, dtype=T.dtype), atol=1e-5) else T), T_rig_colour
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError, SequenceNotFoundError
+from gsfusion_nb.data import SequenceError, SequenceNotFoundError, folder
 from gsfusion_nb.data.lens import CameraModel
-from gsfusion_nb.data.readers import folder
 from gsfusion_nb.geometry import backproject, project, quaternion, se3
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
 from gsfusion_nb.types import Camera

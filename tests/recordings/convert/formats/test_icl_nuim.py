@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError
-from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data import SequenceError, folder
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
 from gsfusion_nb.types import Camera
