@@ -5,7 +5,7 @@ import logging
 import os
 import sys
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -14,7 +14,7 @@ from ..config import DataConfig, gsfusion
 from ..config.values import parse_options
 from ..files import is_foreseen, unforeseen
 from .result import print_metrics, print_result
-from .settings import named_values
+from .settings import reader_options
 
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
@@ -180,7 +180,7 @@ def _check(arguments: list[str]) -> int:
     from ..recordings.checkup import check_recording
 
     options = parse_options(CheckOptions, prog="gsfusion-nb check", arguments=arguments)
-    report = check_recording(options.path, data=options.data, frames=options.frames, **_reader(options))
+    report = check_recording(options.path, data=options.data, frames=options.frames, **reader_options(options))
     print(report)
     page = report.write(options.out or f"check-{report.name}.html")
     print(f"Pictures and curves: {page}")
@@ -192,12 +192,8 @@ def _offset(arguments: list[str]) -> int:
     from ..recordings.checkup.pose_offset import estimate_pose_offset
 
     options = parse_options(OffsetOptions, prog="gsfusion-nb offset", arguments=arguments)
-    print(estimate_pose_offset(open_sequence(options.path, data=options.data, **_reader(options))))
+    print(estimate_pose_offset(open_sequence(options.path, data=options.data, **reader_options(options))))
     return 0
-
-
-def _reader(options: OffsetOptions) -> dict[str, Any]:
-    return ({"format": options.format} if options.format != "auto" else {}) | named_values(options.reader)
 
 
 def _demo(arguments: list[str]) -> int:

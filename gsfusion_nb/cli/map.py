@@ -1,14 +1,14 @@
 """``gsfusion-nb map``: map a sequence, or continue a run that was interrupted."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from ..backends import use_backend
 from ..seeding.rule_code import is_rule_file
 from .result import print_result
-from .settings import SettingsOptions, named_values, parse
+from .settings import SettingsOptions, parse, reader_options
 
 _WITH_RESUME = (
     "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
@@ -71,8 +71,6 @@ def run(arguments: list[str]) -> int:
             return print_result(finished)
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
-        reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
-        reader |= named_values(options.reader)
         finished = run_mapping(
             options.data,
             options.settings(),
@@ -81,7 +79,7 @@ def run(arguments: list[str]) -> int:
             evaluate=options.evaluate,
             checkpoints=every,
             from_gaussians=options.from_gaussians or None,
-            **reader,
+            **reader_options(options),
         )
     return print_result(finished)
 

@@ -14,8 +14,8 @@ import tyro
 from ..backends import from_environment
 from ..checks import shown
 from ..config import SystemConfig, from_dict, replace, to_dict
-from ..config.values import EVERYDAY, leaves, parse_options, with_own_settings
-from ..files import SequenceError, parse_json, read_object, reason_of
+from ..config.values import EVERYDAY, leaves, named_values, parse_options, with_own_settings
+from ..files import read_object, reason_of
 
 O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
 ROOM = "room"
@@ -99,18 +99,9 @@ def _mapped(options: type[SettingsOptions], prog: str, arguments: list[str], dat
     return getattr(parse_options(with_settings(options, _start(plain, "replica")), prog=prog, arguments=plain), data)
 
 
-def named_values(texts: tuple[str, ...]) -> dict[str, Any]:
-    """``name=value`` texts as a dictionary of numbers, True or False, and words."""
-    values: dict[str, Any] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise ValueError(f"expected an option as name=value, got {shown(text)}")
-        try:
-            values[name.replace("-", "_")] = parse_json(value.lower(), text, "a value")
-        except SequenceError:
-            values[name.replace("-", "_")] = value
-    return values
+def reader_options(options: Any) -> dict[str, Any]:
+    """What ``--format`` and ``--reader`` say, for ``open_sequence``."""
+    return ({"format": options.format} if options.format != "auto" else {}) | named_values(options.reader)
 
 
 def with_settings(options: type[O], config: SystemConfig) -> type[O]:

@@ -15,7 +15,7 @@ import tyro
 
 from ..backends import use_backend
 from ..checks import check_name, check_whole, shown
-from ..files import SequenceError, parse_json
+from ..config.values import named_values, parse_value
 from ..mapping import get_system
 from ..seeding import check_options
 from ..seeding.rule_code import is_rule_file, read_rule_file
@@ -204,8 +204,7 @@ def _specs(
 ) -> list[RunSpec]:
     check_whole("seeds", options.seeds, 1)
     place = data if data == "room" else str(Path(data).expanduser().resolve())
-    shared = {**(common or {}), **{name: values[0] for name, values in map(parse_axis, options.set)}}
-    reader = {name: values[0] for name, values in map(parse_axis, options.reader)}
+    shared, reader = {**(common or {}), **named_values(options.set)}, named_values(options.reader)
     fields = {"scene": Path(data).name, "data": place, "reader": reader, "preset": options.preset, "online": online}
     specs = [spec_with({**shared, **values}, label, **fields) for label, values in variants.items()]
     for spec in specs:
@@ -245,19 +244,12 @@ def parse_axis(text: str) -> tuple[str, list[Any]]:
         ValueError: no name, no value, or a value twice.
     """
     name, equals, values = text.partition("=")
-    found = [_value(v.strip()) for v in values.split(",") if v.strip()]
+    found = [parse_value(v.strip()) for v in values.split(",") if v.strip()]
     if not equals or not name or not found:
         raise ValueError(f"expected values of a setting as NAME=VALUE,VALUE, got {shown(text)}")
     if len({str(v) for v in found}) < len(found):
         raise ValueError(f"expected values that differ, got {shown(text)}")
     return name.strip().replace("-", "_"), found
-
-
-def _value(text: str) -> Any:
-    try:
-        return parse_json(text.lower() if text.lower() in ("true", "false") else text, text, "a value")
-    except SequenceError:
-        return text
 
 
 def beside_paper(asked: Study, results: Sequence[RunResult]) -> str:

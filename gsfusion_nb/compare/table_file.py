@@ -3,7 +3,7 @@
 import contextlib
 import itertools
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -58,51 +58,45 @@ def read_table(path: str | Path) -> Table:
     seeds = list(range(given)) if isinstance(given, int) else given
     if not seeds or any(not isinstance(s, int) or isinstance(s, bool) or s < 0 for s in seeds):
         raise TableError(f"{path}: seeds: expected a number of seeds, or a list of whole numbers, got {shown(given)}")
-    budgets = []
-    for place, values in _tables(path, top, "budgets", _BUDGET, ""):
-        with _at(path, place):
-            budgets.append(Budget(**values))
-    budgets = budgets or [Budget()]
+    budgets = _made(path, top, "budgets", _BUDGET, "", lambda values: Budget(**values)) or [Budget()]
     tuned = next((budget for budget in budgets if budget.gaussians is not None), budgets[0])
-    rules, scenes = {}, {}
-    for place, values in _tables(path, top, "rules", _RULE, "rule"):
-        with _at(path, place):
-            rule = _rule(path, values, shared, tuned)
-            if rule["label"] in rules:
-                raise ValueError(f"expected labels that differ, got {shown(rule['label'])} twice")
-            rules[rule["label"]] = rule
-    for place, values in _tables(path, top, "scenes", _SCENE, "data"):
-        with _at(path, place):
-            scene = _scene(path, values, shared)
-            if scene["scene"] in scenes:
-                raise ValueError(f"expected labels that differ, got {shown(scene['scene'])} twice")
-            scenes[scene["scene"]] = scene
+    rules = _made(path, top, "rules", _RULE, "rule", lambda values: _rule(path, values, shared, tuned), "label")
+    scenes = _made(path, top, "scenes", _SCENE, "data", lambda values: _scene(path, values, shared), "scene")
     reference = top.get("reference", "")
     if reference:
         with _at(path, "reference"):
-            check_name("rule", reference, rules)
-    tuned_on = {label: words for label, rule in rules.items() if (words := rule.pop("tuned_on", ""))}
+            check_name("rule", reference, [rule["label"] for rule in rules])
+    tuned_on = {rule["label"]: words for rule in rules if (words := rule.pop("tuned_on", ""))}
     specs = [
         RunSpec(**_merged(shared, scene, rule), budget=budget, seed=seed)
-        for scene, budget, rule, seed in itertools.product(scenes.values(), budgets, rules.values(), seeds)
+        for scene, budget, rule, seed in itertools.product(scenes, budgets, rules, seeds)
     ]
     return Table(specs=specs, text=text, reference=reference, tuned_on=tuned_on)
 
 
-def _tables(
-    path: Path, top: Mapping[str, Any], name: str, known: Kinds, required: str
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Place and checked values of each table [[name]]."""
-    tables = top.get(name, [])
+def _made(
+    path: Path,
+    top: Mapping[str, Any],
+    name: str,
+    known: Kinds,
+    required: str,
+    make: Callable[[dict[str, Any]], Any],
+    label: str = "",
+) -> list[Any]:
+    """What ``make`` gives for the checked values of each table [[name]]; no two have the same ``label``, if one is
+    named."""
+    found, tables = [], top.get(name, [])
     if required and not tables:
         raise TableError(f"{path}: expected at least one table [[{name}]] with {required} = ..., got none")
     for i, values in enumerate(tables):
-        place = f"{name}[{i}]"
-        with _at(path, place):
+        with _at(path, f"{name}[{i}]"):
             if not isinstance(values, dict) or (required and required not in values):
                 raise ValueError(f"expected a table with the key {required or 'steps'}, got {shown(values)}")
-            values = _checked(values, known)
-        yield place, values
+            made = make(_checked(values, known))
+            if label and any(other[label] == made[label] for other in found):
+                raise ValueError(f"expected labels that differ, got {shown(made[label])} twice")
+            found.append(made)
+    return found
 
 
 def _checked(values: dict[str, Any], known: Kinds) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from ..checks import check_name, check_number, check_positive, shown
+from ..files import SequenceError, parse_json
 
 C = TypeVar("C")
 
@@ -242,6 +243,29 @@ def parse_options(options: type[T], *, prog: str, arguments: list[str], everyday
         options = _only(everyday, options)
         options.__doc__ = f"{(options.__doc__ or '').strip()} --help-all shows every option."
     return tyro.cli(options, prog=prog, args=arguments)
+
+
+def named_values(texts: Iterable[str]) -> dict[str, Any]:
+    """``name=value`` texts as a dictionary of numbers, True or False, and words; a dash in a name is an underscore.
+
+    Raises:
+        ValueError: a text without "=".
+    """
+    values: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ValueError(f"expected an option as name=value, got {shown(text)}")
+        values[name.strip().replace("-", "_")] = parse_value(value.strip())
+    return values
+
+
+def parse_value(text: str) -> Any:
+    """A number, True or False, or the text itself if it is neither."""
+    try:
+        return parse_json(text.lower() if text.lower() in ("true", "false") else text, text, "a value")
+    except SequenceError:
+        return text
 
 
 def _only(names: Collection[str], options: type[T], default: Any = None, path: str = "") -> type[T]:

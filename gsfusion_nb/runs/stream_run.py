@@ -2,7 +2,7 @@
 
 import bisect
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
@@ -79,7 +79,7 @@ class StreamRun(MappingRun):
     @classmethod
     def after_a_kill(cls, source: dict[str, Any], mapper: Mapper, state: dict[str, Any]) -> "StreamRun":
         """The run of a stream whose process was killed; it gets no more frames."""
-        nothing, passes = _Ended(source["stream"], source["has_poses"]), mapper.passes
+        nothing, passes = KeptFrames(source["stream"], has_poses=source["has_poses"]), mapper.passes
         run = cls(nothing, mapper, policy=source["policy"])
         mapper.passes = passes
         run.load_state_dict(state)
@@ -165,16 +165,6 @@ class StreamRun(MappingRun):
             return f"no frame came from {self.sequence.name}"
         reason = self.warnings[0].removeprefix("skipped a frame: ").removesuffix("; everything mapped before is kept")
         return f"no frame of {self.sequence.name} could be mapped, the first because {reason}"
-
-
-class _Ended:
-    """A stream without further frames."""
-
-    def __init__(self, name: str, has_poses: bool):
-        self.name, self.has_poses = name, has_poses
-
-    def __iter__(self) -> Iterator[Frame]:
-        return iter(())
 
 
 class KeptFrames:

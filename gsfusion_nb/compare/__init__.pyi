@@ -1,0 +1,9 @@
+from .entries import Entrant as Entrant
+from .entries import compare_rules as compare_rules
+from .entries import entries_of as entries_of
+from .live_table import LiveTable as LiveTable
+from .one_run import run_spec as run_spec
+from .spec import Budget as Budget
+from .spec import RunResult as RunResult
+from .spec import RunSpec as RunSpec
+from .statistics import compare as compare
