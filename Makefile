@@ -79,12 +79,12 @@ format: dev
 # The learner's copies, without solutions, in a folder of the project where changes are kept. Links to source files
 # need the project as the root of the server.
 lab: setup
-	@$(BIN)/python -m gsfusion_nb.course.copies notebooks $(COURSE) --learner
+	@$(BIN)/gsfusion-nb course $(COURSE)
 	$(BIN)/jupyter lab --ServerApp.root_dir="$(CURDIR)" --LabApp.default_url=/lab/tree/$(COURSE)/00_quickstart.ipynb $(LAB)
 
 # Copies of the notebooks to hand out, without solutions and outputs.
 student: setup
-	$(BIN)/python -m gsfusion_nb.course.copies notebooks runs/student
+	$(BIN)/gsfusion-nb course runs/student --for-class
 
 # The bank of questions, for lecturers: docs/teaching/quiz.md.
 quiz: setup

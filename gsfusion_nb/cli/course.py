@@ -27,6 +27,8 @@ class CourseOptions:
     that is there already stays; to get its newest edition, rename yours."""
     open: bool = False
     """Then open the first one in JupyterLab."""
+    for_class: bool = False
+    """Without outputs, to hand out; a notebook that is there already is replaced."""
 
     reset: bool = False
     """Start the course again. The file with your progress is renamed, not deleted."""
@@ -68,7 +70,7 @@ def run(arguments: list[str]) -> int:
 
     options = parse_options(CourseOptions, prog="gsfusion-nb course", arguments=arguments)
     if options.folder is not None:
-        return _copy(options.folder, options.open)
+        return _copy(options.folder, options)
     if options.reset:
         kept = reset()
         print(f"The course starts again. Your progress so far is kept in {kept}" if kept else "There was no progress.")
@@ -77,14 +79,14 @@ def run(arguments: list[str]) -> int:
     return 0
 
 
-def _copy(folder: Path, open_it: bool) -> int:
+def _copy(folder: Path, options: CourseOptions) -> int:
     """Write the notebooks and say how to open them, or open them."""
-    from ..course.copies import FIRST, copy_for_learner
+    from ..course.copies import FIRST, copy_for_class, copy_for_learner, notebooks_folder
 
-    for path in copy_for_learner(folder):
+    for path in copy_for_class(notebooks_folder(), folder) if options.for_class else copy_for_learner(folder):
         print(f"wrote {path}")
     first = str(folder / FIRST)
-    if not open_it:
+    if not options.open:
         word = quoted(first, windows=sys.platform == "win32")
         print(f"The notebooks are in {folder}. To open the first one: jupyter lab {word}")
         return 0

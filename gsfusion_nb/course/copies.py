@@ -1,25 +1,21 @@
 """Copies of the notebooks: for one learner to work in, for students to hand in; and their documentation.
 
-``python -m gsfusion_nb.course.copies SRC DST [--learner]``. In a code cell everything from the line
-``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell from ``<!-- BEGIN SOLUTION -->`` to
-``<!-- END SOLUTION -->``. A cell that would be empty without it is left out. A student's copy has no outputs, because
-they would show what the reader is asked to predict. A learner's copy has the stored pictures of what to expect.
+In a code cell everything from the line ``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell
+from ``<!-- BEGIN SOLUTION -->`` to ``<!-- END SOLUTION -->``. A cell that would be empty without it is left out. A
+student's copy has no outputs, because they would show what the reader is asked to predict. A learner's copy has the
+stored pictures of what to expect.
 
 A learner's work is never overwritten: a notebook that is there already stays.
 """
 
-import argparse
 import copy
 import json
-import logging
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ..files import read_object, write_file
-
-log = logging.getLogger(__name__)
 
 FIRST = "00_quickstart.ipynb"
 DOCUMENTATION = "documentation"
@@ -223,25 +219,3 @@ def _as_text(path: Path, change: Any) -> str:
         return json.dumps(change(read_object(path, "a notebook")), indent=1, ensure_ascii=False) + "\n"
     except ValueError as e:
         raise ValueError(f"{path}: {e}") from None
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(description="Copy the course's notebooks, without solutions.")
-    parser.add_argument("source", type=Path, help="folder of notebooks, or one notebook")
-    parser.add_argument("target", type=Path, help="folder for the copies")
-    parser.add_argument(
-        "--learner", action="store_true", help="keep the outputs, and whatever was changed in the folder for the copies"
-    )
-    options = parser.parse_args(arguments)
-    try:
-        written = (hand_out if options.learner else copy_for_class)(options.source, options.target)
-    except ValueError as e:
-        parser.error(str(e))
-    for path in written:
-        log.info("wrote %s", path)
-
-
-if __name__ == "__main__":
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    main()

@@ -11,7 +11,6 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from ..checks import check_number, check_saved, check_whole, shown
 from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
 from ..data.stream import read_ahead
 from ..export import CheckpointStore
@@ -250,21 +249,8 @@ class MappingRun:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` saved.
-
-        Raises:
-            ValueError: The values contradict each other.
-        """
+        """Restore what ``state_dict`` saved."""
         self.steps = self._step_log.load_state_dict(state["steps"])
-        check_saved("timestamps_s", state["timestamps_s"], (len(self.steps),), torch.float64)
-        check_whole("next_position", state["next_position"], len(self.steps))
-        check_whole("bad_in_a_row", state["bad_in_a_row"], 0)
-        check_number("seconds_global", state["seconds_global"], 0)
-        check_saved("pass_losses", state["pass_losses"], ("N",), finite=False)
-        if not all(isinstance(text, str) for text in state["warnings"]):
-            raise ValueError("warnings must be strings")
-        if not isinstance(state["is_optimised"], bool):
-            raise ValueError(f"is_optimised must be True or False, got {shown(state['is_optimised'])}")
         self._pass_losses = list(state["pass_losses"].to(self.mapper.device))
         self.timestamps_s = state["timestamps_s"].tolist()
         for name in _PLAIN:

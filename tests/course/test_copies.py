@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.course.copies import copy_for_class, hand_out, learner_copy, main, without_solutions
+from gsfusion_nb.cli.course import run
+from gsfusion_nb.course.copies import copy_for_class, hand_out, learner_copy, without_solutions
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.ipynb"))
 PICTURE = {"output_type": "display_data", "metadata": {}, "data": {"image/png": "abc", "text/plain": "<Image>"}}
@@ -77,16 +78,12 @@ def test_refuses_to_overwrite_the_notebooks(copies, tmp_path):
         copies(tmp_path, tmp_path)
 
 
-def test_the_command_copies_the_course(tmp_path, capsys):
-    source = NOTEBOOKS[0].parent
-    main([str(source), str(tmp_path / "student")])
+def test_the_command_copies_the_course_for_a_class(tmp_path):
+    assert run([str(tmp_path / "student"), "--for-class"]) == 0
     for path in NOTEBOOKS:
         student = (tmp_path / "student" / path.name).read_text(encoding="utf-8")
         assert "SOLUTION" not in student
         assert json.loads(student)["cells"]
-    with pytest.raises(SystemExit):
-        main([str(tmp_path / "nowhere"), str(tmp_path / "out")])
-    assert "no notebook" in capsys.readouterr().err
 
 
 CHAPTER = notebook(
@@ -129,5 +126,5 @@ def test_a_notebook_that_is_there_stays(tmp_path):
     write(source, CHAPTER)
     assert hand_out(source, target) == [target / "01_x.ipynb"]
     (target / "01_x.ipynb").write_text("mine")
-    main([str(source), str(target), "--learner"])
+    assert hand_out(source, target) == []
     assert (target / "01_x.ipynb").read_text() == "mine"
