@@ -115,26 +115,6 @@ def _opencv(model: CameraModel) -> tuple[np.ndarray, np.ndarray, tuple[int, int]
     return K, D, (model.camera.width, model.camera.height)
 
 
-class Undistorter:
-    """Maps image pairs of a camera with distortion to a pinhole camera that sees nothing outside the source image.
-
-    Colour is interpolated; depth is taken from the nearest pixel, never interpolated. ``camera`` is the pinhole; its
-    focal length differs from that of the lens by a few per cent, so that there is no border without data.
-    """
-
-    def __init__(self, lens: CameraModel):
-        self.camera = lens.pinhole()
-        self._u, self._v = pixel_map(lens, self.camera)
-
-    def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The pair as ``camera`` sees it. Colour uint8 [H, W, 3], depth in metres [H, W]."""
-        return self.colour(rgb), cv2.remap(depth_m, self._u, self._v, cv2.INTER_NEAREST)
-
-    def colour(self, rgb: np.ndarray) -> np.ndarray:
-        """The colour image as ``camera`` sees it, uint8. [H, W, 3]"""
-        return cv2.remap(rgb, self._u, self._v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-
-
 def warp_depth(
     depth_m: Float[Tensor, "H W"], source: Camera, target: Camera, T_target_source: Float[Tensor, "4 4"]
 ) -> Float[Tensor, "h w"]:
@@ -164,21 +144,29 @@ def warp_depth(
     return out.where(out.isfinite(), torch.zeros_like(out)).reshape(target.height, target.width)
 
 
-class Registration:
-    """Makes a registered pair from a distorted colour image and a depth image of a second camera.
+class Undistorter:
+    """Maps image pairs of a camera with distortion to a pinhole camera that sees nothing outside the source image.
+
+    Colour is interpolated; depth is taken from the nearest pixel, never interpolated, or warped into the pinhole if it
+    is that of a second camera. ``camera`` is the pinhole; its focal length differs from that of the lens by a few per
+    cent, so that there is no border without data.
 
     Args:
-        depth_camera: Camera of the depth image.
         lens: Of the colour image.
-        T_depth_colour: Pose of the colour camera in the depth camera's frame.
+        depth_camera: Camera of the depth image, if it is another one.
+        T_depth_colour: Pose of the colour camera in its frame.
     """
 
-    def __init__(self, depth_camera: Camera, lens: CameraModel, T_depth_colour: Float[Tensor, "4 4"]):
-        self.depth_camera, self.colour = depth_camera, Undistorter(lens)
-        self.T_colour_depth = se3.inverse(T_depth_colour)
+    def __init__(
+        self, lens: CameraModel, depth_camera: Camera | None = None, T_depth_colour: Float[Tensor, "4 4"] | None = None
+    ):
+        self.camera, self.depth_camera = lens.pinhole(), depth_camera
+        self._u, self._v = pixel_map(lens, self.camera)
+        self._T_colour_depth = torch.eye(4) if T_depth_colour is None else se3.inverse(T_depth_colour)
 
     def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Undistorted colour, and depth warped into it."""
-        rgb = self.colour.colour(rgb)
-        warped = warp_depth(torch.from_numpy(depth_m), self.depth_camera, self.colour.camera, self.T_colour_depth)
-        return rgb, warped.numpy()
+        """The pair as ``camera`` sees it. Colour uint8 [H, W, 3], depth in metres [H, W]."""
+        rgb = cv2.remap(rgb, self._u, self._v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        if self.depth_camera is None:
+            return rgb, cv2.remap(depth_m, self._u, self._v, cv2.INTER_NEAREST)
+        return rgb, warp_depth(torch.from_numpy(depth_m), self.depth_camera, self.camera, self._T_colour_depth).numpy()

@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 
 from ...types import Camera
-from ..lens import CameraModel, Registration
+from ..lens import CameraModel, Undistorter
 from ..recorded.files import given_name, require
 from ..recorded.poses import read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
@@ -74,7 +74,7 @@ def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequenc
     stems = [path.name.partition(".")[0] for path in colour]
     pose_files = [root / f"{stem}.pose.txt" for stem in stems]
     poses = torch.stack([_read_pose(p) for p in pose_files])
-    registration = Registration(DEPTH_CAMERA, COLOUR_LENS, T_DEPTH_COLOUR) if register else None
+    registration = Undistorter(COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR) if register else None
     if registration is None:
         log.warning(
             "%s: colour is not registered to depth in 7-Scenes (10 to 20 pixels off); --reader register=true aligns it",
@@ -82,7 +82,7 @@ def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequenc
         )
     return RecordedSequence(
         name=given_name(root),
-        camera=DEPTH_CAMERA if registration is None else registration.colour.camera,
+        camera=DEPTH_CAMERA if registration is None else registration.camera,
         rgb_files=colour,
         depth_files=[root / f"{stem}.depth.png" for stem in stems],
         timestamps_s=[int(stem.removeprefix("frame-")) / 30.0 for stem in stems],

@@ -66,8 +66,8 @@ def pixel_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], u: int, v: int
         splats: The Gaussians on the screen.
         v_rgb: dL/d of the rendered image.
     """
-    blend = stacks.blend_pixel(splats, u, v)
-    stack = stacks.stack_of(splats, blend, u, v)
+    blend = stacks.blend_at(splats, splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]))
+    stack = stacks.pixel_stack(splats, u, v, blend)
     v_C = v_rgb[v, u].to(stack.rgb)
     v_alpha, v_uv = blend_vjp(splats, blend, v_C[None])
     return PixelGradient(

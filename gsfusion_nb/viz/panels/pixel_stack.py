@@ -175,31 +175,17 @@ class PixelStack:
         return numbers_table(heads, lines, total, n=len(self))
 
 
-def pixel_stack(splats: Splats, u: int, v: int) -> PixelStack:
-    """The stack of Gaussians behind pixel (column ``u``, row ``v``).
-
-    Raises:
-        ValueError: the pixel is not in the picture.
-    """
-    return stack_of(splats, blend_pixel(splats, u, v), u, v)
-
-
-def blend_pixel(splats: Splats, u: int, v: int) -> Blend:
-    """``blend_at`` the centre of one pixel.
+def pixel_stack(splats: Splats, u: int, v: int, blend: Blend | None = None) -> PixelStack:
+    """The stack of Gaussians behind pixel (column ``u``, row ``v``); ``blend``: its ``blend_at``, if it is known.
 
     Raises:
         ValueError: the pixel is not in the picture.
     """
     check_pixel(splats.camera, u, v)
-    return blend_at(splats, splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]))
-
-
-def stack_of(splats: Splats, blend: Blend, u: int, v: int) -> PixelStack:
-    """The stack of pixel (u, v) from its ``blend_pixel``."""
+    b = blend or blend_at(splats, splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]))
     return PixelStack(
-        u=u, v=v, row=blend.row, depth_m=splats.projection.depth_m[blend.row], alpha=blend.alpha[0],
-        transmittance=blend.transmittance[0, :-1], weight=blend.weight[0], rgb=splats.rgb[blend.row],
-        light_left=float(blend.transmittance[0, -1]),
+        u=u, v=v, row=b.row, depth_m=splats.projection.depth_m[b.row], alpha=b.alpha[0], weight=b.weight[0],
+        transmittance=b.transmittance[0, :-1], rgb=splats.rgb[b.row], light_left=float(b.transmittance[0, -1]),
     )  # fmt: skip
 
 
