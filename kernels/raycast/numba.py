@@ -95,33 +95,68 @@ def _(field, at, wanted):
     return asking
 
 
-@njit(inline="always")
-def _place(table, axis, voxel):
-    """Where sixteen voxels are along an axis: what that adds to the number of a node, and to those of the block in the
-    node and of the voxel in the block; and whether the node is in the table's box.
+class Near(NamedTuple):
+    """Pool rows of the blocks that rays may look up, in a box around them: one look-up instead of two."""
+
+    rows: np.ndarray
+    """Of each block of the box, z fastest; -1 where there is none."""
+    low: np.ndarray
+    """Lowest block of the box. [3]"""
+    size: np.ndarray
+    """Blocks along each axis. [3]"""
+
+
+def place(table, axis, voxel):
+    """Where sixteen voxels are along an axis: what that adds to the number of an entry of the table's box, and to those
+    of the block in this entry and of the voxel in the block; and whether it is in the box. In compiled code only.
     """
-    strides = (table.size[1] * table.size[2], table.size[2], int32(1))
-    shift, three, seven = splat_int(int32(NODE_SHIFT)), splat_int(int32(3)), splat_int(int32(7))
-    node = (voxel >> shift) - splat_int(table.low[axis])
-    in_node = ((voxel >> three) & splat_int(int32(IN_NODE))) * splat_int(int32(1 << NODE_BITS * (2 - axis)))
-    in_block = (voxel & seven) * splat_int(int32(1 << 3 * (2 - axis)))
-    return node * splat_int(strides[axis]), in_node, in_block, below(node, splat_int(table.size[axis]))
+    raise NotImplementedError
 
 
-@njit(inline="always")
-def _row(table, x, y, z, wanted):
-    """Pool row of the blocks at sixteen places, -1 where there is none."""
-    wanted = wanted & x[3] & y[3] & z[3]
-    node = gather_int(table.nodes, x[0] + y[0] + z[0], wanted, splat_int(int32(0)))
-    number = node * splat_int(int32(1 << 3 * NODE_BITS)) + x[1] + y[1] + z[1]
-    return gather_int(table.rows, number, wanted, splat_int(int32(-1)))
+@overload(place, inline="always")
+def _(table, axis, voxel):
+    shift, inside = (3, 0) if table.instance_class is Near else (NODE_SHIFT, IN_NODE)
+
+    def placed(table, axis, voxel):
+        strides = (table.size[1] * table.size[2], table.size[2], int32(1))
+        three, seven = splat_int(int32(3)), splat_int(int32(7))
+        entry = (voxel >> splat_int(int32(shift))) - splat_int(table.low[axis])
+        in_entry = ((voxel >> three) & splat_int(int32(inside))) * splat_int(int32(1 << NODE_BITS * (2 - axis)))
+        in_block = (voxel & seven) * splat_int(int32(1 << 3 * (2 - axis)))
+        return entry * splat_int(strides[axis]), in_entry, in_block, below(entry, splat_int(table.size[axis]))
+
+    return placed
+
+
+def rows_of(table, x, y, z, wanted):
+    """Pool row of the blocks at sixteen places, -1 where there is none; in compiled code only."""
+    raise NotImplementedError
+
+
+@overload(rows_of, inline="always")
+def _(table, x, y, z, wanted):
+    if table.instance_class is Near:
+
+        def near(table, x, y, z, wanted):
+            wanted = wanted & x[3] & y[3] & z[3]
+            return gather_int(table.rows, x[0] + y[0] + z[0], wanted, splat_int(int32(-1)))
+
+        return near
+
+    def in_nodes(table, x, y, z, wanted):
+        wanted = wanted & x[3] & y[3] & z[3]
+        node = gather_int(table.nodes, x[0] + y[0] + z[0], wanted, splat_int(int32(0)))
+        number = node * splat_int(int32(1 << 3 * NODE_BITS)) + x[1] + y[1] + z[1]
+        return gather_int(table.rows, number, wanted, splat_int(int32(-1)))
+
+    return in_nodes
 
 
 @njit(cache=True, error_model="numpy")
 def _corner(table, field, x, y, z, moved, row, wanted):
     """Value and position of one corner of sixteen cells; ``moved`` are those where it lies in another block."""
     if any_lane(moved):
-        row = select_int(moved, _row(table, x, y, z, moved), row)
+        row = select_int(moved, rows_of(table, x, y, z, moved), row)
     at = row * splat_int(int32(VOXELS_PER_BLOCK)) + x[2] + y[2] + z[2]
     return values(field, at, wanted & (row >= splat_int(int32(0)))), at
 
@@ -135,9 +170,9 @@ def cells(table, field, px, py, pz, wanted):
     one, seven = splat_int(int32(1)), splat_int(int32(7))
     bx, by, bz = floor(px), floor(py), floor(pz)
     x, y, z = truncate(bx), truncate(by), truncate(bz)
-    x0, y0, z0 = _place(table, 0, x), _place(table, 1, y), _place(table, 2, z)
-    x1, y1, z1 = _place(table, 0, x + one), _place(table, 1, y + one), _place(table, 2, z + one)
-    row = _row(table, x0, y0, z0, wanted)
+    x0, y0, z0 = place(table, 0, x), place(table, 1, y), place(table, 2, z)
+    x1, y1, z1 = place(table, 0, x + one), place(table, 1, y + one), place(table, 2, z + one)
+    row = rows_of(table, x0, y0, z0, wanted)
     wanted = wanted & (row >= splat_int(int32(0)))
     ox, oy, oz = wanted & ((x & seven) == seven), wanted & ((y & seven) == seven), wanted & ((z & seven) == seven)
     none = but_not(ox, ox)
@@ -199,24 +234,28 @@ _CHUNK = 64
 CHUNKS_AT_ONCE = 16
 """Such tasks that a thread takes together. Blocks in view were mostly made together, so halves of all are not even."""
 
+NEAR_BLOCKS = 1 << 21
+"""Largest box of blocks around those in view (8 MB) of which a table is made for the rays."""
+
 FEW_RAYS = 12
 """Rays for each block in view below which its voxels are not copied. Where all is in the cache, marking a block takes
 as long as about so many rays take to ask for W as well; fresh memory for the copy of a growing map takes longer."""
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def look_up(blocks, T_CW, lens, sizes, size, tile_px, marked, spans):
+def look_up(blocks, T_CW, lens, sizes, size, tile_px, marked, spans, met):
     """Which blocks rays can meet, and where. blocks: [B, 3], and D and W of their voxels, block after block.
 
     Sets ``spans`` [rows, columns, 2] to the depths between which the rays of each tile of pixels can meet a block, and
     ``marked`` to D where a voxel has been observed, else infinity, in the blocks that rays may look up. Those are the
-    blocks whose bounding sphere, larger by the reach of an interpolation, meets the view. Returns whether ``marked``
-    has been set: it is left as it was where there are so few rays that the copy would take longer than they do.
+    blocks whose bounding sphere, larger by the reach of an interpolation, meets the view: ``met``. Returns whether
+    ``marked`` has been set: it is left as it was where there are so few rays that the copy would take longer than they
+    do.
     """
     coords, D, W = blocks
     B = coords.shape[0]
     ny, nx = spans.shape[0], spans.shape[1]
-    covers, depths, met = np.empty((B, 4), np.int32), np.empty((B, 2), np.float32), np.empty(B, np.bool_)
+    covers, depths = np.empty((B, 4), np.int32), np.empty((B, 2), np.float32)
     radius = 0.5 * sizes.block * np.sqrt(3.0) + 2 * sizes.voxel
     for task in prange((B + _CHUNK - 1) // _CHUNK):
         for b in range(task * _CHUNK, min(B, task * _CHUNK + _CHUNK)):
@@ -241,6 +280,25 @@ def look_up(blocks, T_CW, lens, sizes, size, tile_px, marked, spans):
                 if met[b]:
                     _mark(D, W, b, marked)
     return many
+
+
+@njit(cache=True, error_model="numpy")
+def near_blocks(coords, met, most):
+    """A table of the blocks that were ``met``, without entries if their box has more than ``most`` blocks."""
+    low, high = np.full(3, 1 << 30, np.int32), np.full(3, -(1 << 30), np.int32)
+    for b in range(coords.shape[0]):
+        if met[b]:
+            for axis in range(3):
+                low[axis], high[axis] = min(low[axis], coords[b, axis]), max(high[axis], coords[b, axis])
+    size = np.maximum(high - low + np.int32(1), np.int32(0))
+    cells = np.int64(size[0]) * size[1] * size[2]
+    rows = np.full(cells if cells <= most else 0, np.int32(-1), np.int32)
+    if cells <= most:
+        for b in range(coords.shape[0]):
+            if met[b]:
+                x, y, z = coords[b, 0] - low[0], coords[b, 1] - low[1], coords[b, 2] - low[2]
+                rows[(x * size[1] + y) * size[2] + z] = b
+    return rows, low, size
 
 
 @njit(cache=True, error_model="numpy")
@@ -323,13 +381,15 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     T_CW = se3.inverse(pose.double()).numpy()
     spans = np.empty((parts(camera.height, TILE_PX), parts(camera.width, TILE_PX), 2), np.float32)
     with launching():
-        copy = scratch("raycast", D.size)
+        copy, met = scratch("raycast", D.size), np.empty(len(blocks[0]), np.bool_)
         with parallel_chunksize(CHUNKS_AT_ONCE):
-            copied = look_up(blocks, T_CW, lens, exact, size, TILE_PX, copy, spans)
+            copied = look_up(blocks, T_CW, lens, exact, size, TILE_PX, copy, spans, met)
         field = Marked(copy) if copied else Unmarked(D, W)
+        near = Near(*near_blocks(blocks[0], met, NEAR_BLOCKS))
         with parallel_chunksize(spans.shape[1]):  # a row of tiles: neighbours meet the same voxels
             pictures = depth.numpy(), normal.numpy(), rgb.numpy()
-            _march(BlockTable.of(table), field, colours, rays, sizes, spans, TILE_PX, *pictures)
+            lookup = near if near.rows.size or not met.any() else BlockTable.of(table)
+            _march(lookup, field, colours, rays, sizes, spans, TILE_PX, *pictures)
     return RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
 
 
@@ -371,8 +431,8 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
     while any_lane(alive):
         px, py, pz = ox + dx * z, oy + dy * z, oz + dz * z
         i, j, k = truncate(floor(px * inv_voxel)), truncate(floor(py * inv_voxel)), truncate(floor(pz * inv_voxel))
-        at_x, at_y, at_z = _place(table, 0, i), _place(table, 1, j), _place(table, 2, k)
-        row = _row(table, at_x, at_y, at_z, alive)
+        at_x, at_y, at_z = place(table, 0, i), place(table, 1, j), place(table, 2, k)
+        row = rows_of(table, at_x, at_y, at_z, alive)
         allocated = row >= splat_int(int32(0))
         here, step = infinite, voxel * per_m
         if any_lane(allocated):

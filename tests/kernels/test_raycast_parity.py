@@ -62,6 +62,18 @@ def test_many_rays_and_few_stop_at_observed_voxels_only(width, copied, mapped, m
     assert ways == [copied]
 
 
+def test_a_view_of_too_many_blocks_is_the_same_through_the_table_of_nodes(mapped, monkeypatch):
+    from gsfusion_nb.kernels.raycast import numba
+
+    volume, frames = mapped
+    near = numba_raycast(volume, frames[0].camera, frames[0].T_WC)
+    monkeypatch.setattr(numba, "NEAR_BLOCKS", 1)
+    far = numba_raycast(volume, frames[0].camera, frames[0].T_WC)
+    assert torch.equal(near.depth_m, far.depth_m)
+    assert torch.equal(near.normal_W, far.normal_W)
+    assert torch.equal(near.rgb, far.rgb)
+
+
 @pytest.mark.parametrize("tile_px", [4, 8, 12, 64])
 def test_no_size_of_tile_loses_a_surface(tile_px, mapped, monkeypatch):
     """From random places in and around the room, blocks beside and behind the camera included."""
@@ -93,9 +105,10 @@ def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
     blocks = beside.block_coords.numpy(), beside.D.view(-1).numpy(), beside.W.view(-1).numpy()
     sizes = Sizes(voxel=CONFIG.voxel_size_m, truncation=CONFIG.truncation_m, block=beside.block_size_m)
     spans = torch.empty(15, 20, 2).numpy()
-    look_up(
-        blocks, torch.eye(4, dtype=torch.float64).numpy(), lens, sizes, size, 8, torch.empty(5 * 512).numpy(), spans
-    )
+    met = torch.empty(5, dtype=torch.bool).numpy()
+    T_CW, marked = torch.eye(4, dtype=torch.float64).numpy(), torch.empty(5 * 512).numpy()
+    look_up(blocks, T_CW, lens, sizes, size, 8, marked, spans, met)
+    assert (met[3], met[4]) == (True, False)
     near = spans[..., NEAR_END]
     assert near.min() == pytest.approx(20 * beside.block_size_m, rel=1e-3)
     assert 0 < (near < float("inf")).sum() < 16
