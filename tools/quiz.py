@@ -13,6 +13,7 @@ import ast
 import logging
 import random
 import re
+import tomllib
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -84,32 +85,10 @@ def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged
     return found
 
 
-NOT_OFFERED: dict[str, tuple[str, ...]] = {
-    "psnr-1": ("the differences are squared before they are averaged",),
-    "psnr-3": ("it is a mean over all values, not a sum",),
-    "project_points-4": ("a point twice as far lands half as far from the principal point",),
-    "tiles_touched-3": ("a splat inside one tile is in that tile", "a splat across a border is on both sides"),
-    "composite_pixel-1": ("what is behind gets only the light that is left",),
-    "composite_pixel-2": ("what is behind gets only the light that is left", "nothing is in front of the first one"),
-    "splat_alpha-2": ("alpha = opacity exp(-sigma)",),
-    "project_gaussian-1": ("straight ahead is the principal point",),
-    "splat_alpha_vjp-3": ("v_uv = alpha v_alpha (A dx + B dy, B dx + C dy)", "v_opacity = v_alpha exp(-sigma)"),
-    "splat_alpha_vjp-4": (
-        "v_uv agrees with autograd", "v_conic agrees with autograd", "v_opacity agrees with autograd",
-        "v_opacity = v_alpha exp(-sigma)", "v_uv = alpha v_alpha (A dx + B dy, B dx + C dy)",
-    ),
-    "map_frame-1": ("the new Gaussians are in the map when the frame is optimised",),
-    "disc_hit-4": ("beyond 60 degrees the depth of the centre is used",),
-    "fuse-1": ("a Gaussian never seen does not change",),
-    "silhouette_rule-3": ("where the map is opaque already, nothing is seeded",),
-    "pose_shift-2": ("shifts of up to reach frames are tried",),
-    "tell_apart-1": (
-        "what counts as small is a multiple of noise_m, for the given pose and for the best one",
-        "the best motion may also turn",
-    ),
-}  # fmt: skip
-"""Properties that hold on the inputs of the checker and are not true of the function, or so near the right option that
-both could be meant."""
+NOT_OFFERED: dict[str, list[str]] = tomllib.loads(
+    Path(__file__).with_name("quiz_not_offered.toml").read_text(encoding="utf-8")
+)
+"""Exercise and number of a wrong answer -> properties that hold on the inputs of the checker only."""
 
 _ALWAYS = "it can be called with the arguments that the exercise names"
 

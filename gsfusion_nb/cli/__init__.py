@@ -5,6 +5,7 @@ import logging
 import os
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -16,38 +17,7 @@ from ..files import is_foreseen, unforeseen
 from .result import print_metrics, print_result
 from .settings import reader_options
 
-_USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
-
-  gsfusion-nb demo                 map the built-in room: a report with pictures, in
-                                   about a minute, and once a minute for compiling
-  gsfusion-nb convert SOURCE OUT   convert a recording (COLMAP, ROS, Record3D, ...)
-                                   to files that can be mapped
-  gsfusion-nb check DATA           find errors in a recording, and the options that
-                                   repair them
-  gsfusion-nb offset DATA          estimate the time between its pictures and poses
-  gsfusion-nb map DATA [options]   map a sequence
-  gsfusion-nb map --resume RUN     continue an interrupted run
-  gsfusion-nb live SOURCE          map a camera, or a folder while it is written;
-                                   SOURCE: folder or realsense
-  gsfusion-nb eval RUN             score a finished run again
-  gsfusion-nb export RUN OUT       the maps for other programs, right side up: a .glb
-                                   or .ply file, or a folder with all of them
-  gsfusion-nb lab TABLE            compare seeding rules: rules x scenes x seeds x
-                                   budgets, from a file (--new FILE writes one)
-  gsfusion-nb sweep DATA --grid X  compare values of settings
-  gsfusion-nb study NAME DATA      run one of the papers' comparisons
-  gsfusion-nb bench [GROUP]        measure the speed of operations and mapping
-  gsfusion-nb course DIR           copy the notebooks of the course to a folder
-  gsfusion-nb course               show how far you are in the notebooks
-  gsfusion-nb course export        the chapters as assignments for nbgrader
-  gsfusion-nb grade SUBMISSIONS    mark the notebooks of a class, each in a process
-                                   of its own
-  gsfusion-nb doctor               show what is installed, what works, and what to
-                                   do where something does not
-  gsfusion-nb doctor --warm        compile the fast kernels now, not on first use
-
-Options of a command, with their defaults: gsfusion-nb map --help
-"""
+_USAGE = Path(__file__).with_name("static").joinpath("usage.txt").read_text(encoding="utf-8")
 
 
 NOBODY_READS = 141

@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
@@ -15,17 +16,7 @@ from .settings import SettingsOptions, parse
 if TYPE_CHECKING:
     from ..runs import FinishedRun
 
-USAGE = """gsfusion-nb live: map frames as they arrive
-Ctrl-C ends the scan; then the report is written.
-
-  gsfusion-nb live folder PATH [options]   map a folder in the plain layout while
-                                           another program writes it
-  gsfusion-nb live realsense [options]     track and map an Intel RealSense camera
-
-Every setting is an option, as in gsfusion-nb map:
-  gsfusion-nb live folder scan --tsdf.voxel-size-m 0.02 --data.width 320
-All options of a source: gsfusion-nb live folder --help
-"""
+USAGE = Path(__file__).with_name("static").joinpath("live.txt").read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True, kw_only=True)

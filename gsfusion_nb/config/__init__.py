@@ -14,6 +14,7 @@ from .parts import DataConfig as DataConfig
 from .parts import RepairConfig as RepairConfig
 from .parts import SeedingConfig as SeedingConfig
 from .parts import SystemConfig as SystemConfig
+from .parts import TrackingConfig as TrackingConfig
 from .parts import TsdfConfig as TsdfConfig
 from .rtg_slam import DiscConfig as DiscConfig
 from .rtg_slam import RtgSlamConfig as RtgSlamConfig
@@ -21,7 +22,6 @@ from .rtg_slam import StateConfig as StateConfig
 from .rtg_slam import WindowConfig as WindowConfig
 from .rtg_slam import rtg_slam as rtg_slam
 from .rtg_slam import rtg_slam_fidelity as rtg_slam_fidelity
-from .tracking import TrackingConfig as TrackingConfig
 from .values import from_dict as from_dict
 from .values import replace as replace
 from .values import to_dict as to_dict
