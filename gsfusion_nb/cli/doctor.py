@@ -1,6 +1,6 @@
 """``gsfusion-nb doctor``: what is installed, what works, and what to do where it does not; ``--warm`` compiles.
 
-``warm_up`` compiles every fast kernel once, so that no notebook waits for it later: each operation runs on a handful of
+``warm`` compiles every fast kernel once, so that no notebook waits for it later: each operation runs on a handful of
 values. Compiled code is kept on disk. What is compiled depends on the types of the arguments, not on their size, so a
 picture of 64 x 48 pixels is enough.
 """
@@ -79,20 +79,31 @@ def main() -> int:
 
 
 def warm() -> int:
-    """Compile the fast kernels once and show which. Returns 0, or 1 if no fast kernel can run here."""
+    """Compile the fast kernels once and show which. Returns 0, or 1 if no fast kernel can run here.
+
+    Uses what ``auto`` would choose, and leaves out what is not installed. On one thread: on so little data more gain
+    nothing, and on a busy machine they wait for each other.
+    """
+    from ..compare.bench.timing import threads
+
     print("Compiling the fast kernels once, so that programs and notebooks start faster (about a minute) ...")
-    progress = None
-    with ProgressDisplay("compiling", unit="case") as display:
-        for progress in warm_up():
-            display.show(progress.done, total=progress.total, note=progress.name)
-    if progress is None or not progress.total:
+    todo, start = compiled_cases(), time.perf_counter()
+    if not todo:
         print("No fast kernels can run here, so there is nothing to compile; gsfusion-nb doctor shows why.")
         return 1
-    n = len(progress.compiled)
+    with (
+        ProgressDisplay("compiling", total=len(todo), unit="case") as display,
+        backends.use_backend("auto"), _quietly(), threads(1), _watching() as compiled,
+    ):  # fmt: skip
+        for done, case in enumerate(todo):
+            display.show(done, note=case.name)
+            case.run()
+        display.show(len(todo))
+    seconds = time.perf_counter() - start
     print(
-        f"{n} functions compiled in {progress.seconds:.0f} s and stored on disk."
-        if n
-        else f"Everything was compiled already and was read from disk in {progress.seconds:.1f} s."
+        f"{len(compiled)} functions compiled in {seconds:.0f} s and stored on disk."
+        if compiled
+        else f"Everything was compiled already and was read from disk in {seconds:.1f} s."
     )
     return 0
 
@@ -162,37 +173,7 @@ class WarmUpCase:
     run: Callable[[], object]
 
 
-@dataclass(frozen=True, kw_only=True)
-class WarmUpProgress:
-    """Where ``warm_up`` stands before and after each case."""
-
-    name: str
-    """What runs next; empty at the end."""
-    done: int
-    total: int
-    compiled: tuple[str, ...]
-    """Kernels that had to be compiled so far; the others came from the cache."""
-    seconds: float
-
-
-def warm_up(device: str = "cpu") -> Iterator[WarmUpProgress]:
-    """Run the cases of all operations that have compiled kernels on ``device``, reporting before each and at the end.
-
-    A generator, so that the caller draws the progress. Uses what ``auto`` would choose, and leaves out what is not
-    installed. On one thread: on so little data more gain nothing, and on a busy machine they wait for each other.
-    """
-    from ..compare.bench.timing import threads
-
-    todo, start = _todo(device), time.perf_counter()
-    with backends.use_backend("auto"), _quietly(), threads(1), _watching() as compiled:
-        for done, name in enumerate([*(case.name for case in todo), ""]):
-            seconds = time.perf_counter() - start
-            yield WarmUpProgress(name=name, done=done, total=len(todo), compiled=tuple(compiled), seconds=seconds)
-            if name:
-                todo[done].run()
-
-
-def _todo(device: str) -> list[WarmUpCase]:
+def compiled_cases(device: str = "cpu") -> list[WarmUpCase]:
     """The cases of which ``auto`` takes compiled kernels."""
     return [case for case in warm_up_cases(device) if any(_is_compiled(name, device) for name in case.operations)]
 

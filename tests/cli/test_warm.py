@@ -42,18 +42,18 @@ def test_the_cases_run_every_compiled_operation_and_the_mapper_needs_nothing_els
     assert compiled == []
 
 
-def test_progress_names_every_step_and_ends_at_the_total(monkeypatch):
-    few = doctor._todo("cpu")[::12]
+def test_progress_names_every_step_and_ends_at_the_total(monkeypatch, capsys):
+    few = doctor.compiled_cases()[::12]
     monkeypatch.setattr(doctor, "warm_up_cases", lambda *device: iter(few))
-    threads = torch.get_num_threads()
-    progress = list(doctor.warm_up())
-    assert [p.done for p in progress] == list(range(len(few) + 1))
-    assert {p.total for p in progress} == {len(few)}
-    assert all(p.name for p in progress[:-1])
-    assert not progress[-1].name
+    shown, threads = [], torch.get_num_threads()
+    monkeypatch.setattr(doctor.ProgressDisplay, "show", lambda self, done, **more: shown.append((done, more)))
+    assert doctor.warm() == 0
+    assert [done for done, _ in shown] == list(range(len(few) + 1))
+    assert [more.get("note", "") for _, more in shown] == [*(case.name for case in few), ""]
     assert torch.get_num_threads() == threads
-    again = list(doctor.warm_up())[-1]
-    assert again.compiled == ()
+    capsys.readouterr()
+    assert doctor.warm() == 0
+    assert "Everything was compiled already" in capsys.readouterr().out
 
 
 @pytest.mark.ci
