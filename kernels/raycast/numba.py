@@ -128,36 +128,36 @@ def _(table, axis, voxel):
     return placed
 
 
-def rows_of(table, x, y, z, wanted):
+@njit(inline="always")
+def at_places(x, y, z):
+    """Entry, block in the entry, voxel in the block, and whether it is in the box, of places along the three axes."""
+    return x[0] + y[0] + z[0], x[1] + y[1] + z[1], x[2] + y[2] + z[2], x[3] & y[3] & z[3]
+
+
+def rows_of(table, at, wanted):
     """Pool row of the blocks at sixteen places, -1 where there is none; in compiled code only."""
     raise NotImplementedError
 
 
 @overload(rows_of, inline="always")
-def _(table, x, y, z, wanted):
+def _(table, at, wanted):
     if table.instance_class is Near:
+        return lambda table, at, wanted: gather_int(table.rows, at[0], wanted & at[3], splat_int(int32(-1)))
 
-        def near(table, x, y, z, wanted):
-            wanted = wanted & x[3] & y[3] & z[3]
-            return gather_int(table.rows, x[0] + y[0] + z[0], wanted, splat_int(int32(-1)))
-
-        return near
-
-    def in_nodes(table, x, y, z, wanted):
-        wanted = wanted & x[3] & y[3] & z[3]
-        node = gather_int(table.nodes, x[0] + y[0] + z[0], wanted, splat_int(int32(0)))
-        number = node * splat_int(int32(1 << 3 * NODE_BITS)) + x[1] + y[1] + z[1]
-        return gather_int(table.rows, number, wanted, splat_int(int32(-1)))
+    def in_nodes(table, at, wanted):
+        node = gather_int(table.nodes, at[0], wanted & at[3], splat_int(int32(0)))
+        number = node * splat_int(int32(1 << 3 * NODE_BITS)) + at[1]
+        return gather_int(table.rows, number, wanted & at[3], splat_int(int32(-1)))
 
     return in_nodes
 
 
 @njit(cache=True, error_model="numpy")
-def _corner(table, field, x, y, z, moved, row, wanted):
+def _corner(table, field, place, moved, row, wanted):
     """Value and position of one corner of sixteen cells; ``moved`` are those where it lies in another block."""
     if any_lane(moved):
-        row = select_int(moved, rows_of(table, x, y, z, moved), row)
-    at = row * splat_int(int32(VOXELS_PER_BLOCK)) + x[2] + y[2] + z[2]
+        row = select_int(moved, rows_of(table, place, moved), row)
+    at = row * splat_int(int32(VOXELS_PER_BLOCK)) + place[2]
     return values(field, at, wanted & (row >= splat_int(int32(0)))), at
 
 
@@ -172,19 +172,20 @@ def cells(table, field, px, py, pz, wanted):
     x, y, z = truncate(bx), truncate(by), truncate(bz)
     x0, y0, z0 = place(table, 0, x), place(table, 1, y), place(table, 2, z)
     x1, y1, z1 = place(table, 0, x + one), place(table, 1, y + one), place(table, 2, z + one)
-    row = rows_of(table, x0, y0, z0, wanted)
+    first = at_places(x0, y0, z0)
+    row = rows_of(table, first, wanted)
     wanted = wanted & (row >= splat_int(int32(0)))
     ox, oy, oz = wanted & ((x & seven) == seven), wanted & ((y & seven) == seven), wanted & ((z & seven) == seven)
     none = but_not(ox, ox)
     oxy, oxz, oyz = either(ox, oy), either(ox, oz), either(oy, oz)
-    v0, a0 = _corner(table, field, x0, y0, z0, none, row, wanted)
-    v1, a1 = _corner(table, field, x1, y0, z0, ox, row, wanted)
-    v2, a2 = _corner(table, field, x0, y1, z0, oy, row, wanted)
-    v3, a3 = _corner(table, field, x1, y1, z0, oxy, row, wanted)
-    v4, a4 = _corner(table, field, x0, y0, z1, oz, row, wanted)
-    v5, a5 = _corner(table, field, x1, y0, z1, oxz, row, wanted)
-    v6, a6 = _corner(table, field, x0, y1, z1, oyz, row, wanted)
-    v7, a7 = _corner(table, field, x1, y1, z1, either(oxy, oz), row, wanted)
+    v0, a0 = _corner(table, field, first, none, row, wanted)
+    v1, a1 = _corner(table, field, at_places(x1, y0, z0), ox, row, wanted)
+    v2, a2 = _corner(table, field, at_places(x0, y1, z0), oy, row, wanted)
+    v3, a3 = _corner(table, field, at_places(x1, y1, z0), oxy, row, wanted)
+    v4, a4 = _corner(table, field, at_places(x0, y0, z1), oz, row, wanted)
+    v5, a5 = _corner(table, field, at_places(x1, y0, z1), oxz, row, wanted)
+    v6, a6 = _corner(table, field, at_places(x0, y1, z1), oyz, row, wanted)
+    v7, a7 = _corner(table, field, at_places(x1, y1, z1), either(oxy, oz), row, wanted)
     most = maximum(maximum(maximum(v0, v1), maximum(v2, v3)), maximum(maximum(v4, v5), maximum(v6, v7)))
     whole = wanted & (most < splat(_INFINITE))
     return (v0, v1, v2, v3, v4, v5, v6, v7), (a0, a1, a2, a3, a4, a5, a6, a7), whole, (bx, by, bz)
@@ -431,12 +432,12 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
     while any_lane(alive):
         px, py, pz = ox + dx * z, oy + dy * z, oz + dz * z
         i, j, k = truncate(floor(px * inv_voxel)), truncate(floor(py * inv_voxel)), truncate(floor(pz * inv_voxel))
-        at_x, at_y, at_z = place(table, 0, i), place(table, 1, j), place(table, 2, k)
-        row = rows_of(table, at_x, at_y, at_z, alive)
+        here_at = at_places(place(table, 0, i), place(table, 1, j), place(table, 2, k))
+        row = rows_of(table, here_at, alive)
         allocated = row >= splat_int(int32(0))
         here, step = infinite, voxel * per_m
         if any_lane(allocated):
-            at = row * block + at_x[2] + at_y[2] + at_z[2]
+            at = row * block + here_at[2]
             here = values(field, at, allocated)
             observed = here < infinite
             close = observed & (absolute(here) * truncation < close_by)
