@@ -530,7 +530,9 @@ def parse_json(text: str, source: str, what: str) -> Any:
     makes infinities of numbers that are too large. Of two equal keys it takes the last one, which is refused here.
     """
     try:
-        return json.loads(text, object_pairs_hook=_object, parse_constant=_finite, parse_float=_finite)
+        return json.loads(
+            text, object_pairs_hook=_object, parse_constant=_finite, parse_float=_finite, parse_int=_whole
+        )
     except (ValueError, RecursionError) as e:  # a ValueError also where a number has thousands of digits
         raise SequenceError(f"{source} is not valid JSON ({e}); expected {what}") from None
 
@@ -543,7 +545,12 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return values
 
 
+def _whole(text: str) -> int:
+    _finite(text)
+    return int(text)
+
+
 def _finite(text: str) -> float:
     if not math.isfinite(float(text)):
-        raise ValueError(f"{text} is not a finite number")
+        raise ValueError(f"{text[:40]} is not a finite number")
     return float(text)
