@@ -5,7 +5,6 @@ The named comparisons are those of the papers, beside their numbers, and the que
 
 import dataclasses
 import itertools
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import tyro
 
 from ..backends import use_backend
 from ..checks import check_name, check_whole, shown
-from ..config.values import named_values, parse_value
+from ..config.values import named_values, parse_value, read_packaged
 from ..mapping import get_system
 from ..seeding import check_options
 from ..seeding.rule_code import is_rule_file, read_rule_file
@@ -60,12 +59,9 @@ class Study:
 
 
 def _read_studies() -> Iterator[tuple[str, Study]]:
-    for name, study in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items():
-        if "paper" in study:
-            study["paper"] = PaperTable(**study["paper"])
-        for values in study["variants"].values():
-            values.update({setting: None for setting, value in values.items() if value == "None"})
-        yield name, Study(**study)
+    for name, study in read_packaged(Path(__file__).with_suffix(".toml")).items():
+        paper = PaperTable(**study["paper"]) if "paper" in study else None
+        yield name, Study(**study | {"paper": paper})
 
 
 STUDIES = dict(_read_studies())

@@ -131,8 +131,13 @@ def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
     return dataclasses.replace(config, **changed)
 
 
+@functools.cache
+def read_packaged(path: Path) -> dict[str, Any]:
+    """Values of a TOML file of this package, read once; the text "None" stands for no value, which TOML lacks."""
+    return _with_none(tomllib.loads(path.read_text(encoding="utf-8")))
+
+
 def _with_none(values: Any) -> Any:
-    """Values of a TOML file, which has no word for None."""
     if isinstance(values, dict):
         return {name: _with_none(value) for name, value in values.items()}
     return None if values == "None" else values
@@ -147,8 +152,7 @@ class Presets:
     """
 
     def __init__(self, system: str, start: Any):
-        file = Path(__file__).with_name("presets.toml")
-        published = _with_none(tomllib.loads(file.read_text(encoding="utf-8"))[system])
+        published = read_packaged(Path(__file__).with_name("presets.toml"))[system]
         self.start = start
         self.of_data: dict[str, dict[str, Any]] = published["data"]
         """Preset -> the user's part: a seeding rule does not change it."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
+import numpy as np
 import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
@@ -158,8 +159,6 @@ def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped
     s = repair.rgb_scale
     if shift == (0.0, 0.0) and s == 1.0:
         return rgb
-    import numpy as np
-
     size = (rgb.shape[1], rgb.shape[0])
     offset = [(1 - s) * (n - 1) / 2 + d for n, d in zip(size, shift, strict=True)]
     moved = cv2.warpAffine(
