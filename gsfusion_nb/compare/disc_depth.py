@@ -3,7 +3,6 @@
 import dataclasses
 import statistics
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -11,6 +10,7 @@ import torch
 from ..checks import check_name
 from ..config import rtg_slam
 from ..data import open_sequence
+from ..evaluation.image import psnr
 from ..gaussians import SurfelModel
 from ..mapping.surfel_optimiser import SurfelOptimiser, TrainingView
 from ..render import view_surface
@@ -28,23 +28,7 @@ METHODS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitRow:
-    """Result of one fit of one image."""
-
-    n_gaussians: int
-    depth_l1_m: float
-    """Mean |rendered - measured depth| over the pixels with both."""
-    depth_median_m: float
-    """Median |rendered - measured depth| over the same pixels."""
-    within_1cm: float
-    """Share of the measured pixels whose rendered depth is within 1 cm."""
-    covered: float
-    """Share of the measured pixels that have rendered depth."""
-    psnr_db: float
-
-
-def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: int = 0) -> FitRow:
+def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: int = 0) -> dict[str, float]:
     """Draw ``n`` pixels at random, seed a Gaussian at each, and optimise them on colour and depth of this one image.
 
     Args:
@@ -53,6 +37,10 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
         method: "disc", "blended" or "round".
         steps: Optimisation steps.
         seed: Seed of the draw; with the same seed every method gets the same pixels.
+
+    Returns:
+        Name of a column of the table -> value. Depth errors are |rendered - measured depth| over the pixels with both;
+        the share within 1 cm is of all measured pixels.
     """
     check_name("method", method, METHODS)
     settings = rtg_slam("replica")
@@ -77,24 +65,12 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
     known = frame.depth_m > 0
     both = known & (seen.depth_m > 0)
     error = (seen.depth_m - frame.depth_m)[both].abs()
-    mse = float((seen.rgb.clamp(0, 1) - frame.rgb).square().mean())
-    return FitRow(
-        n_gaussians=len(model),
-        depth_l1_m=float(error.mean()),
-        depth_median_m=float(error.median()),
-        within_1cm=float((error < 0.01).sum() / known.sum()),
-        covered=float(both.sum() / known.sum()),
-        psnr_db=-10 * torch.tensor(max(mse, 1e-10)).log10().item(),
-    )
-
-
-SHOWN = {
-    "depth_l1_m": ("mean depth error, cm", 100.0),
-    "depth_median_m": ("median depth error, cm", 100.0),
-    "within_1cm": ("pixels within 1 cm, %", 100.0),
-    "psnr_db": ("PSNR, dB", 1.0),
-}
-"""Name in ``FitRow`` -> heading, factor."""
+    return {
+        "mean depth error, cm": 100 * float(error.mean()),
+        "median depth error, cm": 100 * float(error.median()),
+        "pixels within 1 cm, %": 100 * float((error < 0.01).sum() / known.sum()),
+        "PSNR, dB": psnr(seen.rgb, frame.rgb),
+    }
 
 
 def table_of(frames: Iterable[Frame], counts: Iterable[int] = COUNTS, *, steps: int = STEPS) -> str:
@@ -103,15 +79,15 @@ def table_of(frames: Iterable[Frame], counts: Iterable[int] = COUNTS, *, steps: 
     Returns:
         Means over the images as a Markdown table: one row per number of Gaussians and method.
     """
-    frames = list(frames)
-    lines = ["| Gaussians | | " + " | ".join(title for title, _ in SHOWN.values()) + " |"]
-    lines.append("|---:|---|" + "---:|" * len(SHOWN))
+    frames, lines = list(frames), list[str]()
     cases = [(n, method) for n in counts for method in METHODS]
     with ProgressDisplay("fitting", total=len(cases), unit="row") as progress:
         for n, method in progress.over(cases):
             rows = [fit_image(frame, n, method, steps=steps) for frame in frames]
-            means = (factor * statistics.fmean(getattr(r, name) for r in rows) for name, (_, factor) in SHOWN.items())
-            lines.append(f"| {n:,} | {METHODS[method]} | {' | '.join(f'{mean:.2f}' for mean in means)} |")
+            if not lines:
+                lines = [f"| Gaussians | | {' | '.join(rows[0])} |", "|---:|---|" + "---:|" * len(rows[0])]
+            means = (f"{statistics.fmean(row[name] for row in rows):.2f}" for name in rows[0])
+            lines.append(f"| {n:,} | {METHODS[method]} | {' | '.join(means)} |")
     return "\n".join(lines)
 
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from ..config import gsfusion
+from ..config import gsfusion, replace
 from ..mapping import GSFusion
 from ..optim import Keyframe
 from ..tsdf import integrate
@@ -232,25 +232,13 @@ def _map_optimising_too_early(mapper: GSFusion, frame: Frame, optimise) -> int:
 
 
 def _map_without_keyframes(mapper: GSFusion, frame: Frame, optimise) -> int:
-    integrate(mapper.volume, frame)
-    seeds = mapper.propose_seeds(mapper.seed_context(frame))
-    mapper.gaussians.append(seeds, frame.index)
-    for _ in range(mapper.config.optim.keyframe_iterations):
-        optimise(frame)
-    return len(seeds)
+    mapper.config = replace(mapper.config, keyframe_min_seeds=1_000_000)
+    return _map_frame(mapper, frame, optimise)
 
 
 def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
-    integrate(mapper.volume, frame)
-    seeds = mapper.propose_seeds(mapper.seed_context(frame))
-    mapper.gaussians.append(seeds, frame.index)
-    is_keyframe = len(seeds) > mapper.config.keyframe_min_seeds
-    if is_keyframe:
-        mapper.keyframes.append(frame)
-    optim = mapper.config.optim
-    for _ in range(optim.keyframe_iterations if is_keyframe else optim.frame_iterations):
-        optimise(frame)
-    return len(seeds)
+    mapper.config = replace(mapper.config, optim__random_keyframe_iterations=0)
+    return _map_frame(mapper, frame, optimise)
 
 
 @exercise(

@@ -15,9 +15,7 @@ def frame():
 def test_disc_depth_needs_fewer_gaussians_for_the_same_median_depth_error(frame):
     few = fit_image(frame, 1000, "disc", steps=60)
     many = fit_image(frame, 2000, "blended", steps=60)
-    assert few.n_gaussians == 1000
-    assert many.n_gaussians == 2000
-    assert few.depth_median_m < many.depth_median_m
+    assert few["median depth error, cm"] < many["median depth error, cm"]
 
 
 def test_table(frame):
