@@ -15,12 +15,12 @@ import tyro
 from ..backends import from_environment, use_backend
 from ..files import write_file
 from ..runs.run_folder import RunFolder
+from .entries import EXAMPLE, read_table
 from .executors import NoWorkerError, executor
 from .map_scene import Entry, budgeted, map_scene
 from .outputs import Results, Table
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec
-from .table_file import EXAMPLE, read_table
 from .tune import is_tuned
 
 RENEW_S = 30.0

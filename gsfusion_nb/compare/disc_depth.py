@@ -40,7 +40,7 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
 
     Returns:
         Name of a column of the table -> value. Depth errors are |rendered - measured depth| over the pixels with both;
-        the share within 1 cm is of all measured pixels.
+        shares are of all measured pixels.
     """
     check_name("method", method, METHODS)
     settings = rtg_slam("replica")
@@ -69,6 +69,7 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
         "mean depth error, cm": 100 * float(error.mean()),
         "median depth error, cm": 100 * float(error.median()),
         "pixels within 1 cm, %": 100 * float((error < 0.01).sum() / known.sum()),
+        "pixels with depth, %": 100 * float(both.sum() / known.sum()),
         "PSNR, dB": psnr(seen.rgb, frame.rgb),
     }
 

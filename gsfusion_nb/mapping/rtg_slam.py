@@ -12,9 +12,18 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..config import RtgSlamConfig, TsdfConfig, rtg_slam, rtg_slam_fidelity
-from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
+from ..gaussians import (
+    STABLE,
+    SurfelModel,
+    Transitions,
+    change_states,
+    count_errors,
+    count_views,
+    fuse_with_history,
+    state_counts,
+)  # fmt: skip
 from ..geometry import depth_to_points, se3
-from ..optim import Keyframe, TrainingView, fuse_with_history
+from ..optim import Keyframe, TrainingView
 from ..render import SurfaceView, drawn_in_part, render_forward, rows_in_view, surface_depth_m, view_surface
 from ..seeding import SeedContext
 from ..tracking import Correction

@@ -17,7 +17,6 @@ from .fit_view import fit_pose_by_flow as fit_pose_by_flow
 from .fit_view import flow_of_motion as flow_of_motion
 from .fit_view import pose_step as pose_step
 from .fit_view import pose_system as pose_system
-from .fusion import fuse_with_history as fuse_with_history
 from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList
 from .keyframes import TrainingView as TrainingView

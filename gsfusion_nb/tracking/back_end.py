@@ -4,9 +4,12 @@ Peng et al. 2024, section 3.2: "a back-end optimization thread similar to ORB-SL
 maintained ... used for graph optimization". Here it runs in turn with the front end, keyframe by keyframe, with ORB
 features (OpenCV) and a pose graph.
 
-A ``Correction`` holds the poses of keyframes before and after; everything else moves with them.
+``LoopFinder`` finds earlier keyframes that show the same place as a new one, and checks that they do. A ``Correction``
+holds the poses of keyframes before and after; everything else moves with them.
 """
 
+import logging
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,14 +18,177 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..checks import check_pose
-from ..geometry import quaternion, se3
+from ..geometry import backproject, project, quaternion, se3
 from ..types import Camera, Frame
 from .bundle_adjustment import adjust
 from .features import FEATURES, LEVELS, Features
+from .keyframe_database import KeyframeDatabase
 from .landmark_map import LandmarkMap
-from .loops import LoopFinder
+from .landmarks import SEARCH_SHARE, Landmarks
 from .matching import RelativePose, refine_pose, rows_of
 from .pose_graph import Edge, edge_error, fit_odometry, odometry_information, optimise_poses, with_floor
+
+log = logging.getLogger(__name__)
+
+THUMBNAIL_PX = 64
+"""Width of the small depth image that is stored for each keyframe, pixels."""
+
+MIN_SHARE = 0.3
+"""At least this share of the matches must agree on the pose."""
+
+MIN_CELLS = 4
+"""The agreeing features must lie in at least this many cells of a 4 x 4 grid over the image, not all on one poster."""
+
+DEPTH_TOLERANCE = (0.05, 0.03)
+"""Depths of one surface differ by less than 5 cm plus 3 %: noise, slopes between samples, pose errors of 1 degree."""
+
+MIN_DEPTH_AGREEMENT = 0.7
+"""At least this share of the pixels that are not hidden must show the same surface in both views."""
+
+MIN_DEPTH_PIXELS = 20
+"""With fewer overlapping pixels the depth is not used to reject a loop."""
+
+DRIFT_M = 0.3
+DRIFT_DEG = 10.0
+DRIFT_SHARE = 0.2
+"""A loop may disagree with the trajectory by this much, plus this share of the path in between: otherwise it is another
+place that looks the same."""
+
+MIN_GAP = 8
+"""A loop connects keyframes that are at least this many keyframes apart."""
+
+MIN_INLIERS = 30
+"""Smallest number of landmarks that must agree on the relative pose of a loop."""
+
+
+def may_drift(drift: Float[Tensor, "4 4"], T_WC: Float[Tensor, "K 4 4"]) -> bool:
+    """Whether a drift is plausible along these poses: at most 0.3 m and 10 degrees plus a fifth of the path."""
+    steps = se3.inverse(T_WC[:-1]) @ T_WC[1:]
+    most_m = DRIFT_M + DRIFT_SHARE * float(steps[:, :3, 3].norm(dim=1).sum())
+    most_deg = DRIFT_DEG + DRIFT_SHARE * float(torch.rad2deg(se3.rotation_angle(steps[:, :3, :3]).sum()))
+    degrees = float(torch.rad2deg(se3.rotation_angle(drift[:3, :3])))
+    return float(drift[:3, 3].norm()) <= most_m and degrees <= most_deg
+
+
+def why_not_same_place(
+    pose: RelativePose, features: Features, thumbnails: tuple[Tensor, Tensor], camera: Camera
+) -> str:
+    """The reason why two views cannot show the same place; empty if there is none.
+
+    Args:
+        pose: Query relative to reference; the first column of its rows are features of the query.
+        features: Features of the query.
+        thumbnails: Small depth images of query and reference, from ``depth_thumbnail``.
+        camera: Intrinsics of the full images.
+    """
+    agreeing = len(pose.rows)
+    if agreeing < max(MIN_INLIERS, MIN_SHARE * pose.n_matches):
+        return f"{agreeing} of {pose.n_matches} matches agree"
+    size = torch.tensor([camera.width, camera.height])
+    cells = (features.uv[pose.rows[:, 0]] / size * 4).long()
+    spread = len(torch.unique(cells[:, 0] + 4 * cells[:, 1]))
+    if spread < MIN_CELLS:
+        return f"all matches lie in {spread} of 16 parts of the image"
+    query, reference = thumbnails
+    for a, b, T_BA in ((query, reference, pose.T_RQ), (reference, query, se3.inverse(pose.T_RQ))):
+        share, pixels = depth_agreement(camera, a, b, T_BA)
+        if pixels >= MIN_DEPTH_PIXELS and share < MIN_DEPTH_AGREEMENT:
+            return f"the depths agree at {share:.0%} of the pixels"
+    return ""
+
+
+def depth_thumbnail(depth_m: Float[Tensor, "H W"]) -> Float[Tensor, "h w"]:
+    """A depth image about 64 pixels wide; each pixel is the depth in the middle of its cell, metres."""
+    step = max(1, depth_m.shape[1] // THUMBNAIL_PX)
+    return depth_m[step // 2 :: step, step // 2 :: step].cpu().clone()
+
+
+def depth_agreement(
+    camera: Camera, depth_a: Float[Tensor, "h w"], depth_b: Float[Tensor, "h w"], T_BA: Float[Tensor, "4 4"]
+) -> tuple[float, int]:
+    """Share of a's pixels whose point lies on b's surface, among those that lie on it or in front of it.
+
+    Points behind b's surface are hidden and are not counted, unless they are the majority.
+
+    Returns:
+        Share, and the number of pixels that were counted.
+    """
+    height, width = depth_a.shape
+    small = camera.resized(width, height)
+    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    known = depth_a > 0
+    xyz_A = backproject(small, torch.stack([u, v], -1)[known], depth_a[known]).double()
+    xyz_B = se3.apply(T_BA, xyz_A)
+    xyz_B = xyz_B[xyz_B[:, 2] > 0.1]
+    uv = project(small, xyz_B)
+    column, row = uv[:, 0].floor().long(), uv[:, 1].floor().long()
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    z, seen = xyz_B[inside, 2], depth_b[row[inside], column[inside]].double()
+    z, seen = z[seen > 0], seen[seen > 0]
+    tolerance = DEPTH_TOLERANCE[0] + DEPTH_TOLERANCE[1] * seen
+    agree = int(((z - seen).abs() <= tolerance).sum())
+    contradict = int((z < seen - tolerance).sum())
+    hidden = len(z) - agree - contradict
+    counted = agree + contradict + max(0, hidden - agree - contradict)
+    return agree / max(counted, 1), counted
+
+
+CANDIDATES = 3
+"""Loops are searched in this many of the most similar keyframes and in the one whose pose is nearest."""
+
+AROUND = 2
+"""A loop uses the landmarks of this many keyframes before and after the earlier keyframe."""
+
+
+class LoopFinder:
+    """Finds loops from the keyframes of ``database``, by appearance, landmarks and depth."""
+
+    def __init__(self, database: KeyframeDatabase, landmarks: Landmarks):
+        self.database, self.landmarks = database, landmarks
+        self.thumbnails: list[Tensor] = []
+        """Small depth images of the keyframes, in the order of the database."""
+
+    def add(self, depth_m: Float[Tensor, "H W"]) -> None:
+        """Add the depth of the keyframe last added to ``database``."""
+        self.thumbnails.append(depth_thumbnail(depth_m))
+
+    def loops(self, row: int) -> Iterator[tuple[int, RelativePose]]:
+        """Earlier keyframes that see the same place as keyframe ``row``, each with the relative pose."""
+        for earlier in self._candidates(row):
+            pose = self._pose(row, earlier)
+            if pose is not None and self._is_true(row, earlier, pose):
+                yield earlier, pose
+
+    def _candidates(self, row: int) -> list[int]:
+        before = row - MIN_GAP
+        if before < 0:
+            return []
+        rows = [r for r, _ in self.database.similar(self.database.features[row], CANDIDATES, exclude_after=before + 1)]
+        near = self.database.nearest_view(self.database.T_WC[row], before + 1)
+        return rows if near in rows else [*rows, near]
+
+    def _pose(self, row: int, earlier: int) -> RelativePose | None:
+        """Pose of one keyframe relative to another: from their features, then from all landmarks around the other."""
+        features, camera = self.database.features[row], self.database.camera
+        pose = self.database.compare(features, earlier)
+        if pose is None or len(pose.rows) < MIN_INLIERS:
+            return None
+        T_WR = self.database.T_WC[earlier]
+        around = list(range(max(0, earlier - AROUND), min(earlier + AROUND, row - MIN_GAP) + 1))
+        pairs = self.landmarks.find(features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * camera.width)
+        return refine_pose(self.landmarks.rows(features, pairs, T_WR), pose.T_RQ, pairs)
+
+    def _is_true(self, row: int, earlier: int, pose: RelativePose) -> bool:
+        thumbnails = (self.thumbnails[row], self.thumbnails[earlier])
+        features, camera = self.database.features[row], self.database.camera
+        reason = why_not_same_place(pose, features, thumbnails, camera)
+        poses = self.database.T_WC
+        drift = se3.inverse(pose.T_RQ) @ se3.inverse(poses[earlier]) @ poses[row]
+        if not reason and not may_drift(drift, torch.stack(poses[earlier : row + 1])):
+            reason = f"the trajectory cannot have drifted by {float(drift[:3, 3].norm()):.2f} m"
+        if reason:
+            log.debug("no loop from keyframe %d to %d: %s", row, earlier, reason)
+        return not reason
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -249,8 +249,8 @@ def _wait_for_server(url: str, output: Path) -> None:
 @pytest.fixture(scope="session")
 def book_site(tmp_path_factory) -> Path:
     """The web book: that of $GSNB_BOOK, or one that is built with the quiz of chapter 0."""
+    from book.__main__ import build
     from book.assemble import Settings
-    from book.build import build
     from quiz import bank, by_chapter
 
     if ready := os.environ.get("GSNB_BOOK"):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import npm_programs
 import pytest
-from book.build import missing
+from book.__main__ import missing
 
 pytestmark = [
     pytest.mark.slow,

@@ -10,11 +10,10 @@ from gsfusion_nb.config import rtg_slam
 from gsfusion_nb.course import exercises, mine
 from gsfusion_nb.course.learner_backend import LearnerError
 from gsfusion_nb.evaluation import psnr
-from gsfusion_nb.gaussians.surfels import next_states
+from gsfusion_nb.gaussians.surfels import fuse, next_states
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import RTGSLAM
 from gsfusion_nb.mapping.gsfusion import plan_frame
-from gsfusion_nb.optim.fusion import fuse
 from gsfusion_nb.optim.keyframes import draw_keyframes
 from gsfusion_nb.render.disc import disc_hit
 from gsfusion_nb.render.over_base import (

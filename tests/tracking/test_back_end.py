@@ -11,7 +11,7 @@ from gsfusion_nb.data.room.camera import look_at
 from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tracking import loops
+from gsfusion_nb.tracking import back_end as back_end_module
 from gsfusion_nb.tracking.back_end import BackEnd, Correction
 from gsfusion_nb.types import Camera, Frame
 
@@ -130,7 +130,7 @@ def test_wants_a_keyframe_after_enough_motion(circle):
 
 def test_wallpaper_closes_no_loop(monkeypatch):
     """A periodic wall, walked along: views one period apart are the same picture."""
-    monkeypatch.setattr(loops, "MIN_GAP", 2)
+    monkeypatch.setattr(back_end_module, "MIN_GAP", 2)
     back_end = BackEnd(CAMERA)
     generator = torch.Generator().manual_seed(5)
     tile = torch.rand(24, 32, 3, generator=generator)
@@ -148,7 +148,7 @@ def test_wallpaper_closes_no_loop(monkeypatch):
 
 def test_two_rooms_that_look_the_same_are_two_rooms(circle, monkeypatch):
     """After a corridor without features, 12 m further, the same room again: nothing but the path tells them apart."""
-    monkeypatch.setattr(loops, "MIN_GAP", 3)
+    monkeypatch.setattr(back_end_module, "MIN_GAP", 3)
     back_end = BackEnd(CAMERA)
     for frame in circle[:4]:
         back_end.add(frame, frame.T_WC)
@@ -166,7 +166,7 @@ def test_two_rooms_that_look_the_same_are_two_rooms(circle, monkeypatch):
 
 @pytest.mark.parametrize("kind", ["black", "no depth", "no depth, black"])
 def test_bad_keyframes_are_survived(circle, kind, monkeypatch):
-    monkeypatch.setattr(loops, "MIN_GAP", 3)
+    monkeypatch.setattr(back_end_module, "MIN_GAP", 3)
     back_end = BackEnd(CAMERA)
     poses = []
     for i, frame in enumerate(circle[:9]):

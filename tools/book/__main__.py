@@ -2,13 +2,88 @@
 
 import argparse
 import logging
+import os
+import shutil
+import subprocess
 import sys
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 
-from quiz import bank, by_chapter
+from quiz import Question, bank, by_chapter
 
-from .assemble import read_settings
-from .build import build, missing
+from .assemble import ARCHIVE, Assembly, Settings, read_settings
+from .pages import places_of
+
+log = logging.getLogger(__name__)
+
+NEEDED = ("sphinx", "myst_parser", "furo", "mathjax")
+_MATHJAX = ("tex-chtml-full.js", "a11y/assistive-mml.js", "output/chtml/fonts/woff-v2")
+
+
+def missing() -> list[str]:
+    """What the extra ``book`` brings and is not installed."""
+    return [name for name in NEEDED if find_spec(name) is None]
+
+
+def build(root: Path, out: Path, settings: Settings, quiz: Mapping[int, Sequence[Question]]) -> None:
+    """Build the book.
+
+    Args:
+        root: The project.
+        out: The site; replaced. Work is kept in the folder ``.OUT_work`` beside it.
+        settings: Of the book.
+        quiz: Questions by chapter.
+
+    Raises:
+        RuntimeError: the extra is not installed, or Sphinx failed or warned, as of a link that leads nowhere.
+    """
+    if lacking := missing():
+        raise RuntimeError(f"the book needs {', '.join(lacking)}; install them with: pip install 'gsfusion-nb[book]'")
+    work = out.parent / f".{out.name}_work"
+    pages, extra, static = work / "pages", work / "extra", work / "static"
+    Assembly(places_of(root, settings.files), pages, extra, quiz).write()
+    _write_static(static)
+    _sphinx(root, pages, extra, static, work / "doctrees", out, settings)
+    shutil.make_archive(str(work / "book"), "zip", out)
+    shutil.move(work / "book.zip", out / ARCHIVE)
+
+
+def _write_static(folder: Path) -> None:
+    """Style sheets, scripts, and MathJax with its fonts, so that no page loads anything from elsewhere."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for file in (Path(__file__).parent / "static").iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    mathjax = Path(str(files("mathjax").joinpath("static/mathjax/es5")))
+    for name in _MATHJAX:
+        target = folder / "mathjax" / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        (shutil.copytree if (mathjax / name).is_dir() else shutil.copyfile)(mathjax / name, target)
+
+
+def _sphinx(root: Path, pages: Path, extra: Path, static: Path, doctrees: Path, out: Path, settings: Settings) -> None:
+    from gsfusion_nb import __version__
+
+    shutil.rmtree(out, ignore_errors=True)
+    environment = {
+        **os.environ,
+        "GSNB_BOOK_PACKAGE": str(root.resolve()),
+        "GSNB_BOOK_STATIC": str(static.resolve()),
+        "GSNB_BOOK_EXTRA": str(extra.resolve()),
+    }
+    options = [f"project={settings.title}", f"release={__version__}", f"html_title={settings.title}"]
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(doctrees)]
+    command += ["-c", str(root / "docs/book")]
+    command += [part for option in options for part in ("-D", option)]
+    done = subprocess.run([*command, str(pages), str(out)], env=environment, text=True, stderr=subprocess.PIPE)
+    for line in done.stderr.splitlines():
+        log.warning("%s", line)
+    if done.returncode:
+        raise RuntimeError("Sphinx could not build the book; its messages are above")
+    (out / ".nojekyll").touch()  # GitHub Pages would leave out folders that begin with an underscore
+
 
 _ROOT = Path(__file__).resolve().parents[2]
 

@@ -5,8 +5,8 @@ World frame: z up, origin on the floor in the middle of the room, metres; 5 m al
 """
 
 from .camera import kinect_depth as kinect_depth
-from .mesh import room_mesh as room_mesh
-from .mesh import room_sdf as room_sdf
 from .sequence import RoomSequence as RoomSequence
 from .sequence import render_room as render_room
 from .sequence import room as room
+from .sequence import room_mesh as room_mesh
+from .sequence import room_sdf as room_sdf

@@ -3,7 +3,7 @@
 import pytest
 
 from gsfusion_nb.compare.command import LabOptions, main
-from gsfusion_nb.compare.table_file import EXAMPLE, TableError, read_table
+from gsfusion_nb.compare.entries import EXAMPLE, TableError, read_table
 
 GOOD = """\
 seeds = [0, 3]

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
+from gsfusion_nb.gaussians import fuse_with_history
 from gsfusion_nb.geometry import quaternion, se3
-from gsfusion_nb.optim import fuse_with_history
 from gsfusion_nb.types import GaussianParams
 
 
