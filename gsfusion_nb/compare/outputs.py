@@ -16,8 +16,7 @@ from ..drawing.page import fill
 from ..drawing.pictures import data_uri
 from ..files import atomic_file, plain_cell, write_file
 from .map_scene import budgeted
-from .page import page_html
-from .pareto import figure_of
+from .page import figure_of, page_html
 from .run_all import ResultStore
 from .schedule import flat_settings
 from .spec import RunResult, RunSpec, package_fingerprint

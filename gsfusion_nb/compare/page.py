@@ -1,22 +1,114 @@
-"""The lab's page: one HTML file with tables, the Pareto plot, and pictures of the same views to compare."""
+"""The lab's page: one HTML file with tables, the Pareto plot, and pictures of the same views to compare.
+
+The plot has one part for each scene and cost, with the front of the rules that no other beats.
+"""
 
 import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..data import BadFrameError
 from ..data.recorded.images import decode_rgb, read_image_bytes
+from ..drawing.curves import GRID, INK, MUTED, PAPER
 from ..drawing.page import ColourBar, PageGraph, fill
 from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, error_map, fit_width
-from .pareto import figure_of
 from .spec import RunResult
-from .statistics import Group, compare, corrected, group_runs
+from .statistics import COLUMNS, FIRST_METRIC, Group, compare, corrected, group_runs
 from .tables import ResultTable, failures
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ON_FRONT, BEATEN = "#d1495b", "#3d85c6"
+COSTS = {
+    "n_gaussians": "Gaussians (fewer is better)",
+    "ms_per_frame": "time per frame, ms (less is better)",
+    "n_steps": "gradient steps (fewer is better)",
+}
+"""Costs of the figure and their labels."""
+
+
+def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
+    """The candidates that no other beats, that is, none is at least as good in both numbers and better in one.
+
+    Args:
+        cost: Less is better. [N]
+        quality: More is better. [N]
+
+    Returns:
+        Whether each candidate is on the front; two equal ones both are. [N] bool
+    """
+    cost, quality = np.asarray(cost, float), np.asarray(quality, float)
+    as_good = (cost[:, None] <= cost) & (quality[:, None] >= quality)
+    better = (cost[:, None] < cost) | (quality[:, None] > quality)
+    return np.logical_not((as_good & better).any(axis=0))
+
+
+def figure_of(results: Iterable[RunResult]) -> "Figure":
+    """Held-out PSNR over each cost on each scene, with the front as a red line, and a name beside the best point of
+    each rule; error bars: standard deviation over seeds. Points of a rule at several budgets are joined."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    groups = group_runs(results)
+    costs, scenes = costs_of(groups), list(dict.fromkeys(g.scene for g in groups)) or [""]
+    size = (6.4 * len(costs), 4.0 * len(scenes))
+    figure = Figure(figsize=size, dpi=100, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    for i, scene in enumerate(scenes):
+        for j, cost in enumerate(costs):
+            axes = figure.add_subplot(len(scenes), len(costs), i * len(costs) + j + 1)
+            _draw(axes, [g for g in groups if g.scene == scene], cost, scene)
+    return figure
+
+
+def costs_of(groups: Sequence[Group]) -> list[str]:
+    """The costs that are plotted: the size unless every budget fixes it, and gradient steps only where the rules took
+    different numbers of them."""
+    steps = {group.summary("n_steps").mean for group in groups if group.summary("n_steps").n}
+    fixed = bool(groups) and all(group.fixes_size for group in groups)
+    return [c for c in COSTS if not (c == "n_gaussians" and fixed) and not (c == "n_steps" and len(steps) < 2)]
+
+
+def _draw(axes: "Axes", groups: Sequence[Group], cost_name: str, scene: str) -> None:
+    axes.set_xlabel(COSTS[cost_name], color=MUTED)
+    axes.set_ylabel(COLUMNS[FIRST_METRIC].name, color=MUTED)
+    axes.tick_params(colors=MUTED)
+    axes.grid(True, which="major", color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.set_title(f"{scene}\nred: on the Pareto front".strip(), fontsize=9, color=MUTED, loc="left")
+    found = [(g.label, g.summary(cost_name), g.summary(FIRST_METRIC)) for g in groups]
+    found = [(label, c, q) for label, c, q in found if c.n and np.isfinite(q.mean) and c.mean > 0]
+    if not found:
+        axes.set(xticks=[], yticks=[])
+        axes.text(0.5, 0.5, "no rule has finished yet", ha="center", va="center", color=MUTED)
+        return
+    names = [label for label, _, _ in found]
+    cost, quality = np.array([[c.mean, q.mean] for _, c, q in found]).T
+    wide, high = np.nan_to_num(np.array([[c.sd, q.sd] for _, c, q in found])).T
+    front = pareto_front(cost, quality)
+    for chosen, colour in ((front, ON_FRONT), (~front, BEATEN)):
+        left = np.minimum(wide, 0.9 * cost)  # a logarithmic axis has no zero
+        axes.errorbar(cost[chosen], quality[chosen], xerr=(left[chosen], wide[chosen]), yerr=high[chosen],
+                      fmt="o", color=colour, alpha=0.8, linewidth=1.3, zorder=3)  # fmt: skip
+    best = np.argsort(cost[front], kind="stable")
+    axes.step(cost[front][best], quality[front][best], where="post", color=ON_FRONT, linewidth=1.2, zorder=2)
+    for name in dict.fromkeys(names):
+        own = sorted((i for i, other in enumerate(names) if other == name), key=lambda i: cost[i])
+        axes.plot(cost[own], quality[own], color=MUTED, linewidth=0.8, alpha=0.5, zorder=1)
+        i = max(own, key=lambda i: quality[i])
+        axes.annotate(name, (float(cost[i]), float(quality[i])), xytext=(5, 4), textcoords="offset points", fontsize=8,
+                      color=INK)  # fmt: skip
+    axes.margins(x=0.2, y=0.15)
+    if cost.max() >= 2 * cost.min():
+        axes.set_xscale("log")
+
 
 _RENDER = re.compile(r"held_out (\S+)")
 PICTURE_WIDTH = 640

@@ -27,7 +27,7 @@ class GaussianModel(GrowingRows):
     that a seeding rule keeps for each row (``memory``).
     """
 
-    _COUNTS: tuple[str, ...] = ("birth_frame", "birth_step", "tag")
+    _COUNTS: tuple[str, ...] = ("birth_frame", "birth_step", "last_step", "tag")
     """Columns of whole numbers."""
     _MOMENTS: tuple[str, ...] = ("exp_avg", "exp_avg_sq")
     _POSE_PREFIXES: tuple[str, ...] = ("",)
@@ -80,6 +80,11 @@ class GaussianModel(GrowingRows):
         return self._columns["birth_step"][: self._count]
 
     @property
+    def last_step(self) -> Int[Tensor, " N"]:
+        """Value of ``step_count`` after the last step of the optimiser in which each row took part."""
+        return self._columns["last_step"][: self._count]
+
+    @property
     def tag(self) -> Int[Tensor, " N"]:
         """Label that the seeding rule gave each row."""
         return self._columns["tag"][: self._count]
@@ -124,10 +129,11 @@ class GaussianModel(GrowingRows):
         K = min(params.sh.shape[1], (self.sh_degree + 1) ** 2)
         self._columns["sh"][start:stop] = 0.0
         self._columns["sh"][start:stop, :K] = params.sh[:, :K]
-        for name, value in (("birth_frame", frame_index), ("birth_step", self.step_count), ("tag", 0)):
+        for name, value in (("birth_frame", frame_index), ("tag", 0)):
             self._columns[name][start:stop] = value
         self._fill_optional(slice(start, stop))
         self._in_use(stop)
+        self.as_new(slice(start, stop))
 
     @observed
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
@@ -164,10 +170,10 @@ class GaussianModel(GrowingRows):
                 new[name][start:stop] = 0.0
         new["sh"][start:stop, 0] = rgb_to_sh_dc(seeds.rgb)
         new["birth_frame"][start:stop] = frame_index
-        new["birth_step"][start:stop] = self.step_count
         new["tag"][start:stop] = seeds.tag
         self._fill_optional(slice(start, stop))
         self._in_use(stop)
+        self.as_new(slice(start, stop))
 
     def edit(self, edit: Edit, generator: torch.Generator, frame_index: int = 0) -> Int[Tensor, " M"]:
         """Change rows as ``edit`` says, in the order of its fields; parameters, moments, birth and tag stay together.
@@ -195,7 +201,7 @@ class GaussianModel(GrowingRows):
 
     def as_new(self, rows: Int[Tensor, " M"] | slice) -> None:
         """Count these rows as added now."""
-        self.birth_step[rows] = self.step_count
+        self.birth_step[rows] = self.last_step[rows] = self.step_count
 
     def clear_moments(self, rows: Int[Tensor, " M"] | slice, parameter: str | None = None) -> None:
         """Set Adam's moments of these rows to zero, of all parameters or of one."""
@@ -214,6 +220,10 @@ class GaussianModel(GrowingRows):
         turn_colours_(self.params.sh, R)
         if self._MOMENTS:
             turn_moments_(self.exp_avg, self.exp_avg_sq, R)
+
+    def state_of_columns(self) -> tuple[int, ...]:
+        """Another one when a value has changed: PyTorch counts the changes of a tensor."""
+        return (len(self), self.step_count, *(x for c in self._columns.values() for x in (c.data_ptr(), c._version)))
 
     def write_back(self) -> None:
         """Nothing: a step on the whole map changes it in place."""

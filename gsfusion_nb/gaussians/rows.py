@@ -4,7 +4,7 @@ And how Gaussians are turned, moved and scaled, with their view-dependent colour
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, ClassVar
 
 import torch
@@ -59,6 +59,23 @@ def _each_turn(R: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
 _FIRST_CAPACITY = 4096
 
 
+class UndoLog:
+    """Rows as they were before they were changed.
+
+    Args:
+        count: Number of rows when it began.
+        names: Of the columns then.
+    """
+
+    def __init__(self, count: int, names: set[str]):
+        self.count, self.names = count, names
+        self.kept: list[dict[str, Tensor] | tuple[Tensor, dict[str, Tensor]]] = []
+        """Rows and their values, or a whole ``snapshot``, in the order of the changes."""
+        self.is_kept: Tensor | None = None
+        """Which rows were kept."""
+        self.all_kept = False
+
+
 class GrowingRows:
     """Rows in buffers that grow by a factor when full; what is given out are views of the rows in use.
 
@@ -76,6 +93,7 @@ class GrowingRows:
         self._most = 0
         """Rows of the buffers that have ever been in use."""
         self._columns = {name: self._new_column(name, _FIRST_CAPACITY) for name in names}
+        self._log: UndoLog | None = None
 
     def __len__(self) -> int:
         return self._count
@@ -140,6 +158,48 @@ class GrowingRows:
         self._count = first + len(places)
         for column in self._columns.values():
             column[first : self._count] = column.index_select(0, places)
+
+    def log_changes(self) -> Callable[[], None]:
+        """From now on ``will_change`` keeps rows, until ``end_log``. Returns a function that brings them back."""
+        log = self._log = UndoLog(self._count, set(self._columns))
+
+        def undo() -> None:
+            for before in reversed(log.kept):
+                if isinstance(before, dict):
+                    self.restore(before)
+                else:
+                    rows, columns = before
+                    for name, values in columns.items():
+                        self._columns[name][rows] = values
+            for name in set(self._columns) - log.names:
+                del self._columns[name]
+            self._count = log.count
+
+        return undo
+
+    def end_log(self) -> None:
+        """What changes from now on cannot be undone."""
+        self._log = None
+
+    def will_change(self, rows: Int[Tensor, " M"] | None = None) -> None:
+        """Say that values of these rows will change, each row once, or with None anything; new rows need not be said.
+
+        Does nothing unless changes are logged.
+        """
+        log = self._log
+        if log is None or log.all_kept:
+            return
+        if rows is None:
+            log.all_kept = True
+            log.kept.append(self.snapshot())
+            return
+        rows = rows[rows < log.count]
+        if log.is_kept is None:
+            log.is_kept = torch.zeros(log.count, dtype=torch.bool, device=self.device)
+        rows = rows[~log.is_kept[rows]]
+        log.is_kept[rows] = True
+        if len(rows):
+            log.kept.append((rows, {name: column[rows] for name, column in self._columns.items()}))
 
     def snapshot(self) -> dict[str, Tensor]:
         """A copy of the rows, for ``restore``."""

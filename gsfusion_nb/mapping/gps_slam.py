@@ -83,7 +83,8 @@ class GPSSLAM(TsdfMapping):
                 self._prune()
             if seeds_now and self.config.residual.restart_adam:
                 self._restart_adam()
-            self.gaussians.append(seeds, frame.index)
+            with self.boxes.appending(self.gaussians):
+                self.gaussians.append(seeds, frame.index)
             if is_keyframe:
                 self.keyframes.append(frame, with_depth=self.training.loss is not None)
             with self.clock("base"):
@@ -219,10 +220,12 @@ class GPSSLAM(TsdfMapping):
         kept = (radius_m >= limits.min_radius_m) & (radius_m <= limits.max_radius_m)
         kept &= params.opacity_logit.sigmoid() >= LEAST_OPACITY
         if not bool(kept.all()):
+            self.gaussians.will_change()
             self.gaussians.keep(kept)
 
     def _restart_adam(self) -> None:
         """Forget all moments and the number of steps."""
+        self.gaussians.will_change()
         for moments in (self.gaussians.exp_avg, self.gaussians.exp_avg_sq):
             for column in vars(moments).values():
                 column.zero_()
@@ -252,7 +255,7 @@ class GPSSLAM(TsdfMapping):
         self.guard.may_stop()
         keyframe, below = view.keyframe, view.below
         camera, T_WC, target = keyframe.camera, keyframe.T_WC, keyframe.rgb
-        part = self.part_in_view(keyframe)
+        part = self.part_in_view(keyframe, self.config.residual.adam)
         watched = self.after_steps.watch(self.gaussians, keyframe, len(part.params))
         output, saved = render_over_base(part.params, camera, T_WC, below.base, behind_m=below.behind_m)
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp

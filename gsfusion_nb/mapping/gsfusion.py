@@ -62,7 +62,8 @@ class GSFusion(TsdfMapping):
             context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
             seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
         with self.changes():
-            self.gaussians.append(seeds, frame.index)
+            with self.boxes.appending(self.gaussians):
+                self.gaussians.append(seeds, frame.index)
             is_keyframe, n_steps, n_revisits = self._plan(frame, len(seeds))  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
                 self.keyframes.append(frame, with_depth=self._keeps_depth)
@@ -138,7 +139,7 @@ class GSFusion(TsdfMapping):
         view, optim = view.to(self.device), self.config.optim
         fit = self.fits if fits else None
         keyframe: Any = view  # where poses and exposures are fitted
-        part = self.part_in_view(view)
+        part = self.part_in_view(view, optim)
         watched = self.after_steps.watch(self.gaussians, view, len(part.params))
         output, saved = render_forward(part.params, view.camera, view.T_WC, with_indices=False)
         shown = output if fit is None else fit.expose(self.keyframes, keyframe, output)

@@ -8,23 +8,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from .. import tracking
 from ..config import TrackingConfig
 from ..files import BadFrameError
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import KeyframeList
-from ..tracking import (
-    BackEnd,
-    Correction,
-    Features,
-    KeyframeDatabase,
-    LandmarkMap,
-    Sighting,
-    SurfaceSource,
-    Tracker,
-    TrackingLostError,
-    moved_enough,
-)
 from ..types import Camera, Frame
 
 OFF_M = 0.02
@@ -62,16 +51,16 @@ class Localiser:
         self._mapped: dict[str, Any] | None = None
         self._refused: dict[str, Any] | None = None
         """Index, time and given pose of the frame mapped last, and of one refused since: the next may go on there."""
-        self._tracker = Tracker(config)
+        self._tracker = tracking.Tracker(config)
         self._found: Any = None
         """State of the tracker before the frame that it tracked last, until that frame is recorded."""
-        self._back_end: BackEnd | None = None
-        self._map: LandmarkMap | None = None
+        self._back_end: tracking.BackEnd | None = None
+        self._map: tracking.LandmarkMap | None = None
         """Keyframes and landmarks, where the front end or the back end uses landmarks; the back end's, if there is
         one."""
-        self._database: KeyframeDatabase | None = None
+        self._database: tracking.KeyframeDatabase | None = None
         """Keyframes by appearance, to relocalise when tracking is lost; the map's, if there is one."""
-        self._view: tuple[int, Features, Sighting | None] | None = None
+        self._view: tuple[int, tracking.Features, tracking.Sighting | None] | None = None
         """Index of the frame that was located last, its features, and the landmarks that it sees."""
 
     @property
@@ -121,7 +110,7 @@ class Localiser:
         """Camera of the keyframes used for relocalisation; None if there are none."""
         return None if self._database is None else self._database.camera
 
-    def locate(self, frame: Frame, surface: SurfaceSource) -> Frame:
+    def locate(self, frame: Frame, surface: tracking.SurfaceSource) -> Frame:
         """The frame with its pose in the map.
 
         Raises:
@@ -139,7 +128,7 @@ class Localiser:
             else:
                 extra = seen.extra
                 found = self._tracker.track(frame, surface, self._relocalise, extra, guess)
-        except TrackingLostError as e:
+        except tracking.TrackingLostError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
         self._found = before
         fit = found.icp
@@ -167,7 +156,7 @@ class Localiser:
         if self._found is not None:
             self._tracker.standing, self._found = self._found, None
 
-    def record(self, frame: Frame) -> Correction | None:
+    def record(self, frame: Frame) -> tracking.Correction | None:
         """Add a mapped frame to the trajectory. If it closed a loop, returns the correction (applied to ``poses``)."""
         self._found = None
         self.poses.append(self._kept(frame.T_WC_cpu))
@@ -182,7 +171,7 @@ class Localiser:
         """Possible poses of the frame by its appearance, the most likely first."""
         return [] if self._database is None else self._database.relocalise(frame)
 
-    def _see(self, frame: Frame) -> tuple[Sighting | None, Float[Tensor, "4 4"] | None]:
+    def _see(self, frame: Frame) -> tuple[tracking.Sighting | None, Float[Tensor, "4 4"] | None]:
         """Landmarks that the frame sees, None if they are not wanted, or too few; and their pose, if the predicted one
         is wrong. If it is not, it is the more exact start for ICP."""
         self._view = None
@@ -196,7 +185,7 @@ class Localiser:
         turned_deg, moved_m = se3.motion(predicted, seen.T_WC)
         return seen, seen.T_WC if moved_m > OFF_M or turned_deg > OFF_DEG else None
 
-    def _features(self, frame: Frame) -> Features:
+    def _features(self, frame: Frame) -> tracking.Features:
         if self._view is not None and self._view[0] == frame.index:
             return self._view[1]
         assert self._database is not None
@@ -214,16 +203,16 @@ class Localiser:
         self._n_kept += 1
         return self._block[n].copy_(T_WC)
 
-    def _remember(self, frame: Frame) -> Correction | None:
+    def _remember(self, frame: Frame) -> tracking.Correction | None:
         """Make the frame a keyframe if the camera has moved enough; returns the back end's correction, if any."""
         T_WC = frame.T_WC_cpu
         if self._database is None:
-            self._use(frame.camera, BackEnd(frame.camera) if self.config.back_end else None)
+            self._use(frame.camera, tracking.BackEnd(frame.camera) if self.config.back_end else None)
         assert self._database is not None
         index, _, seen = self._view or (None, None, None)
         if self._map is not None and seen is not None and index == frame.index:
             self._map.count(seen)
-        if len(self._database) and not moved_enough(self._database.T_WC[-1], T_WC):
+        if len(self._database) and not tracking.moved_enough(self._database.T_WC[-1], T_WC):
             return None
         features = self._features(frame)
         if self._back_end is not None:
@@ -232,20 +221,20 @@ class Localiser:
         known.add(frame.index, T_WC, features)
         return None
 
-    def _use(self, camera: Camera, back_end: BackEnd | None) -> None:
+    def _use(self, camera: Camera, back_end: tracking.BackEnd | None) -> None:
         """Begin to remember keyframes: in the back end, in a map of landmarks, or only by their appearance."""
         self._back_end = back_end
         if back_end is not None:
             self._map = back_end.map
         elif self.config.landmarks:
-            self._map = LandmarkMap(camera)
-        self._database = KeyframeDatabase(camera) if self._map is None else self._map.database
+            self._map = tracking.LandmarkMap(camera)
+        self._database = tracking.KeyframeDatabase(camera) if self._map is None else self._map.database
 
-    def finish(self) -> Correction | None:
+    def finish(self) -> tracking.Correction | None:
         """The last optimisation of the back end, over all keyframes and landmarks, after the scan."""
         return None if self._back_end is None else self._apply(self._back_end.finish())
 
-    def _apply(self, correction: Correction | None) -> Correction | None:
+    def _apply(self, correction: tracking.Correction | None) -> tracking.Correction | None:
         if correction is None:
             return None
         moves = correction.transform_of(torch.tensor(self.frame_indices)).float()
@@ -277,10 +266,10 @@ class Localiser:
         if state["given"] is not None:
             self.given = [self._kept(T_WC) for T_WC in state["given"].cpu()]
         self._mapped, self._refused = state["stands"]
-        self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
+        self._tracker = tracking.Tracker.from_state_dict(self.config, state["tracker"])
         if state["camera"] is not None:
             camera, saved = Camera(**state["camera"]), state["back_end"]
-            self._use(camera, None if saved is None else BackEnd.from_state_dict(camera, saved))
+            self._use(camera, None if saved is None else tracking.BackEnd.from_state_dict(camera, saved))
         for name, part in (("map", self._map), ("database", self._database)):
             if state[name] is not None and part is not None:
                 part.load_state(state[name])
@@ -315,7 +304,7 @@ def between(indices: Int[Tensor, " R"], values: Float[Tensor, "R D"], index: int
     return (1 - share) * values[after - 1] + share * values[after]
 
 
-def move_map(correction: Correction, gaussians: GaussianModel, keyframes: KeyframeList) -> None:
+def move_map(correction: tracking.Correction, gaussians: GaussianModel, keyframes: KeyframeList) -> None:
     """Move Gaussians and keyframes with a corrected trajectory: each with the keyframes around its frame."""
     gaussians.move(correction.transform_of(gaussians.birth_frame))
     if len(keyframes):

@@ -18,9 +18,9 @@ from torch import Tensor
 
 from ..backends import runs_learners_code
 from ..checks import shown
-from ..config import SystemConfig, from_dict, to_dict
+from ..config import OptimConfig, SystemConfig, from_dict, to_dict
 from ..gaussians import GaussianModel
-from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose
+from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose, take_missed_steps
 from ..render import Boxes, drawn_in_part, render
 from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, move_memory, rule_name
 from ..seeding.rule_code import find_rule
@@ -119,6 +119,8 @@ class Mapper(ABC):
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
         self.boxes = Boxes()
         """Of the rows of ``gaussians``, to find those that a view may show."""
+        self._last_part: tuple[Frame | Keyframe | None, PartOfMap | None] = None, None
+        """View of the last step, and the rows that it changed."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
         self.random = RandomStreams(self.config.seed)
         self.localiser = Localiser(self.config.tracking)
@@ -233,11 +235,22 @@ class Mapper(ABC):
             self.gaussians.params, self.boxes, camera, T_WC,
         )  # fmt: skip
 
-    def part_in_view(self, view: Frame | Keyframe) -> "GaussianModel | PartOfMap":
-        """What a gradient step on this view changes: of a large map only the rows that the view may show."""
+    def part_in_view(self, view: Frame | Keyframe, optim: OptimConfig) -> "GaussianModel | PartOfMap":
+        """What a gradient step on this view changes: the rows that the view may show, or a small map as a whole.
+
+        Step after step on one view takes the same rows, as long as nothing else changes the map.
+        """
+        last_view, last = self._last_part
+        if last_view is view and last is not None and last.is_current:
+            return last
         depth_m = view.farthest_m if isinstance(view, Keyframe) else view.depth_m
         rows = self.boxes.rows(self.gaussians.params, view.camera, view.T_WC, depth_m)
-        return self.gaussians if rows is None else PartOfMap(self.gaussians, rows, self.boxes)
+        self.gaussians.will_change(rows)
+        part = self.gaussians if rows is None else PartOfMap(self.gaussians, rows, self.boxes)
+        if self.training.optimiser is None:
+            take_missed_steps(part, optim)
+        self._last_part = (view, part) if isinstance(part, PartOfMap) else (None, None)
+        return part
 
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
         """Optimise over the keyframes after the scan: each pass visits all of them once in a new random order.
@@ -284,21 +297,29 @@ class Mapper(ABC):
         """Context in which a frame changes the map.
 
         Args:
-            undoable: Keep a snapshot of the map until the end of the context. A failure in it then leaves the map as it
-                was, and Ctrl-C takes effect between two gradient steps. Always on while foreign code runs.
+            undoable: Keep what changes until the end of the context (``GrowingRows.will_change``). A failure in it then
+                leaves the map as it was, and Ctrl-C takes effect between two gradient steps. While foreign code runs
+                that is always so, and the whole map is kept.
         """
         foreign = self.after_steps.edits or self.training.names or runs_learners_code()
         self.guard.changes_begin(self._undo() if undoable or foreign else None)
+        if foreign:
+            self.gaussians.will_change()
         yield
+        self._changes_stay()
+
+    def _changes_stay(self) -> None:
         self.guard.changes_stay()
+        self.gaussians.end_log()
 
     def _undo(self) -> Callable[[], None]:
         """A function that undoes what a frame changes in the map, from now on; a subclass extends it."""
-        rows, steps, taken = self.gaussians.snapshot(), self.gaussians.step_count, self.after_steps.taken
+        undo_rows, steps, taken = self.gaussians.log_changes(), self.gaussians.step_count, self.after_steps.taken
         n_keyframes = len(self.keyframes)
 
         def undo() -> None:
-            self.gaussians.restore(rows)
+            undo_rows()
+            self.gaussians.end_log()
             self.gaussians.step_count, self.after_steps.taken = steps, taken
             self.keyframes.cut(n_keyframes)
 

@@ -11,17 +11,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ..backends import runs_learners_code
 from ..config import RtgSlamConfig, TsdfConfig, rtg_slam, rtg_slam_fidelity
-from ..gaussians import (
-    STABLE,
-    SurfelModel,
-    Transitions,
-    change_states,
-    count_errors,
-    count_views,
-    fuse_with_history,
-    state_counts,
-)  # fmt: skip
+from ..gaussians import STABLE, SurfelModel, Transitions, fuse_with_history
+from ..gaussians.surfels import change_states, count_errors, count_views, state_counts
 from ..geometry import depth_to_points, se3
 from ..optim import Keyframe, TrainingView
 from ..render import SurfaceView, drawn_in_part, render_forward, rows_in_view, surface_depth_m, view_surface
@@ -97,13 +90,16 @@ class RTGSLAM(Mapper):
         is_keyframe = self.is_next_keyframe(frame)
         window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0
         with self.changes(undoable=window_is_due or keyframes_are_due):
-            self.gaussians.append(seeds, frame.index)
+            with self.boxes.appending(self.gaussians):
+                self.gaussians.append(seeds, frame.index)
             self._begin(context, is_keyframe, window_is_due, keyframes_are_due)
             with self.clock("optimise"):
                 losses = self._optimise_window() if window_is_due else []  # Eq. 7-9
             with self.clock("keyframes"):
                 n_steps = self._optimise_keyframes() if keyframes_are_due else 0
             self.guard.may_stop()
+            if not runs_learners_code():
+                self._changes_stay()  # what follows changes counts of any row, and cannot fail
             with self.clock("states"):
                 after, transitions = self._manage_states(frame)
             self.gaussians.step_count = self.n_frames + 1
@@ -216,6 +212,7 @@ class RTGSLAM(Mapper):
             loss, watched = self._step_on(views[i], optimiser)
             losses.append(loss)
             last = i, loss, watched
+        optimiser.adam.catch_up(torch.arange(optimiser.n, device=self.device))
         return losses, last
 
     def _step_on(self, view: TrainingView, optimiser: SurfelOptimiser) -> tuple[Float[Tensor, ""], WatchedStep]:

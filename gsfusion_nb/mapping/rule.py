@@ -16,25 +16,10 @@ from ..files import SequenceError
 from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
 from ..render import Footprints, footprints
-from ..seeding import (
-    EVERY_FRAME,
-    MapRule,
-    SeedContext,
-    SeedingRule,
-    StepStats,
-    When,
-    check_memory,
-    copy_memory,
-    is_map_rule,
-    option_values,
-    read_code,
-    registered,
-    rule_fingerprint,
-    rule_name,
-    rule_options,
-)
+from ..seeding import EVERY_FRAME, MapRule, SeedContext, SeedingRule, StepStats, When, check_memory, copy_memory
 from ..seeding.points import add_up
-from ..seeding.rule import check_needs
+from ..seeding.rule import check_needs, is_map_rule, option_values, registered, rule_name, rule_options
+from ..seeding.rule_code import read_code, rule_fingerprint
 from ..types import Camera, Frame
 
 log = logging.getLogger(__name__)

@@ -116,6 +116,7 @@ class SurfelOptimiser:
         whole = any(wanted is not None for wanted in outputs.values())
         part = None if whole else self._boxes.rows(params, view.camera, view.T_WC, view.depth_m)
         if part is not None:
+            self.adam.catch_up(part[part < self.n])
             params, is_trained = params[part], is_trained[part]
         output, saved = render_forward(
             params, view.camera, view.T_WC, with_indices=False, opaque_alpha=discs.opaque_alpha, pixels=view.pixels
@@ -164,6 +165,7 @@ class SurfelOptimiser:
 
     def write_back(self, params: GaussianParams | None = None) -> None:
         """Copy the trained rows, or ``params`` instead of them, to the map."""
+        self._model.will_change(self.rows)
         for name, value in vars(params or self.trained).items():
             getattr(self._model.params, name)[self.rows] = value
 

@@ -15,18 +15,8 @@ from ..config import OptimConfig
 from ..files import SequenceError
 from ..gaussians import GaussianModel
 from ..geometry import se3
-from ..optim import (
-    Keyframe,
-    KeyframeList,
-    TrainingView,
-    UpdateFunction,
-    ViewLoss,
-    exposed,
-    exposed_vjp,
-    fit_gain,
-    pose_step,
-    pose_system,
-)
+from ..optim import Keyframe, KeyframeList, TrainingView, UpdateFunction, ViewLoss
+from ..optim.fit_view import exposed, exposed_vjp, fit_gain, pose_step, pose_system
 from ..render.constants import SHOWN_ALPHA
 from ..seeding import rule_fingerprint, rule_name
 from ..types import Frame, RenderOutput

@@ -1,6 +1,7 @@
 """Adam on a map that grows while it is optimised (``adam_step``), and on a fixed set of its rows (``RowAdam``)."""
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -16,6 +17,9 @@ from ..gaussians import GaussianModel
 from ..geometry.operands import INTEGERS, check_gaussians, check_operand
 from ..render import Boxes
 from ..types import GaussianParams
+
+_NOTHING_LEFT_AFTER = 200
+"""With zero gradient a row has stopped after so many steps: (0.9 / sqrt(0.999))^200 is 8e-10."""
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
 """Of ``RowAdam``: the values of the released code of RTG-SLAM, which are those of 3D Gaussian splatting."""
@@ -82,8 +86,8 @@ def adam_update(
         beta2: Decay of v.
         eps: Keeps the division finite where v = 0.
 
-    Rows that no pixel sees have zero gradient, but their momentum still moves them, as in the released GSFusion. In a
-    large map those that the view cannot show are left out (``PartOfMap``).
+    Rows that no pixel sees have zero gradient, but their momentum still moves them, as in the released GSFusion. Those
+    that the view cannot show are left out (``PartOfMap``) and catch up when they are seen (``take_missed_steps``).
 
     Source: Kingma & Ba 2015, algorithm 1.
     """
@@ -181,8 +185,7 @@ def adam_update_map(
 class PartOfMap:
     """Copies of some rows of a map and of their moments, for ``adam_step``; ``write_back`` puts them into the map.
 
-    The rows that are left out keep their values and their moments. A step on the whole map would move them by what is
-    left of their momentum.
+    The rows that are left out keep their values and their moments until ``take_missed_steps``.
 
     Args:
         model: The map.
@@ -193,16 +196,25 @@ class PartOfMap:
     def __init__(self, model: GaussianModel, rows: Int[Tensor, " R"], boxes: Boxes):
         self.model, self.rows, self._boxes = model, rows, boxes
         self.params, self.exp_avg, self.exp_avg_sq = (x[rows] for x in (model.params, model.exp_avg, model.exp_avg_sq))
-        self.birth_step, self.step_count = model.birth_step[rows], model.step_count
+        self.birth_step, self.last_step = model.birth_step[rows], model.last_step[rows]
+        self.step_count = model.step_count
         self.rates = {name: factors[rows] for name, factors in model.rates.items()}
+        self._state = model.state_of_columns()
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the map has not changed since the rows were copied or written back."""
+        return self._state == self.model.state_of_columns()
 
     def write_back(self) -> None:
         """Copy parameters, moments and the number of steps to the map."""
         for name in ("params", "exp_avg", "exp_avg_sq"):
             for column, values in vars(getattr(self, name)).items():
                 getattr(getattr(self.model, name), column).index_copy_(0, self.rows, values)
+        self.model.last_step.index_copy_(0, self.rows, self.last_step)
         self.model.step_count = self.step_count
         self._boxes.renew(self.model.params, self.rows, self.params)
+        self._state = self.model.state_of_columns()
 
 
 @observed
@@ -238,15 +250,7 @@ def adam_step(
     steps: int | Tensor | None = {"none": None, "shared": t}.get(config.adam_steps)
     if config.adam_steps == "per_row":
         steps = t - model.birth_step
-    rates = ColumnRates(
-        xyz_W=config.lr_xyz,
-        log_scale=config.lr_log_scale,
-        quat=config.lr_quat,
-        opacity_logit=config.lr_opacity_logit,
-        sh_dc=config.lr_sh_dc,
-        sh_rest=config.lr_sh_rest,
-    )
-    m, v = model.exp_avg, model.exp_avg_sq
+    rates, m, v = _rates_of(config), model.exp_avg, model.exp_avg_sq
     with at_row_rates(model.params, model.rates):
         if update is None:
             decay = {"beta1": config.beta1, "beta2": config.beta2, "eps": config.eps}
@@ -257,6 +261,86 @@ def adam_step(
                 p, g, m_, v_ = (getattr(rows, name) for rows in (model.params, gradients, m, v))
                 take_step(update, name, p, g, m_, v_, ages, lr)
     model.step_count = t
+    model.last_step.fill_(t)
+
+
+def _rates_of(config: OptimConfig) -> ColumnRates:
+    return ColumnRates(
+        xyz_W=config.lr_xyz,
+        log_scale=config.lr_log_scale,
+        quat=config.lr_quat,
+        opacity_logit=config.lr_opacity_logit,
+        sh_dc=config.lr_sh_dc,
+        sh_rest=config.lr_sh_rest,
+    )
+
+
+def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig) -> None:
+    """Move the rows by the steps of Adam that they missed while no view showed them: steps with zero gradient.
+
+    In each of them  m <- b1 m,  v <- b2 v,  so k steps together are a geometric series, with  r = b1 / sqrt(b2):
+
+        param <- param - lr m / (sqrt(v) + eps) sum_{j=1..k} c_j r^j,   m <- b1^k m,   v <- b2^k v
+
+    c_j is the bias correction  sqrt(1 - b2^t) / (1 - b1^t)  of the j-th missed step, or 1 without one. This is
+    ``adam_step`` on the whole map but for rounding and for eps, which is 1e-15 beside sqrt(v).
+
+    Args:
+        model: The map, or a part of it, changed in place.
+        config: Learning rates and decays.
+    """
+    missed = model.step_count - model.last_step
+    rows = missed.nonzero()[:, 0]
+    if not len(rows):
+        return
+    last = model.last_step[rows]
+    start = {"none": None, "shared": last, "per_row": last - model.birth_step[rows]}[config.adam_steps]
+    steps = MissedSteps(rows, missed[rows], start, config.beta1, config.beta2, config.eps)
+    for name, lr in _rates_of(config).by_column(model.params.sh).items():
+        column, m, v = (getattr(values, name) for values in (model.params, model.exp_avg, model.exp_avg_sq))
+        steps.take(column, m, v, lr, model.rates.get(name))
+    model.last_step[rows] = model.step_count
+
+
+class MissedSteps:
+    """The steps of ``take_missed_steps``, for one column of the map after another.
+
+    Args:
+        rows: Those that missed any. [R]
+        missed: k of each of them. [R]
+        start: t of the step before the first missed one; None: without bias correction. [R]
+        beta1, beta2, eps: As for ``adam_update``.
+    """
+
+    def __init__(
+        self,
+        rows: Int[Tensor, " R"],
+        missed: Int[Tensor, " R"],
+        start: Int[Tensor, " R"] | None,
+        beta1: float,
+        beta2: float,
+        eps: float,
+    ):
+        self.rows, self.eps, ratio = rows, eps, beta1 / math.sqrt(beta2)
+        self.decay1, self.decay2 = (beta ** missed.double() for beta in (beta1, beta2))
+        if start is None:
+            self.distance = ratio * (1 - ratio ** missed.double()) / (1 - ratio)
+        else:  # rows that were seen together share their sum
+            k = missed.clamp_max(_NOTHING_LEFT_AFTER)
+            pairs, which = torch.unique(start.long() * (_NOTHING_LEFT_AFTER + 1) + k, return_inverse=True)
+            first, last = pairs[:, None] // (_NOTHING_LEFT_AFTER + 1), pairs[:, None] % (_NOTHING_LEFT_AFTER + 1)
+            j = torch.arange(1, int(k.max()) + 1, device=rows.device)
+            t = (first + j).double()
+            terms = (1 - beta2**t).sqrt() / (1 - beta1**t) * ratio**j
+            self.distance = (terms * (j <= last)).sum(1)[which]
+
+    def take(self, column: Tensor, m: Tensor, v: Tensor, lr: float | Tensor, factor: Tensor | None) -> None:
+        """Change the rows of a column and of its moments; ``factor`` of the learning rate is one for each row."""
+        old_m, old_v = m[self.rows], v[self.rows]
+        distance = self.distance if factor is None else self.distance * factor[self.rows]
+        far, decay1, decay2 = (x.to(m).view(-1, *[1] * (m.ndim - 1)) for x in (distance, self.decay1, self.decay2))
+        column[self.rows] -= lr * far * old_m / (old_v.sqrt() + self.eps)
+        m[self.rows], v[self.rows] = decay1 * old_m, decay2 * old_v
 
 
 def take_step(
@@ -320,15 +404,28 @@ class RowAdam:
             name: rates[name] for name in ("xyz_W", "log_scale", "quat") if rates[name] > 0
         } | {"sh": sh_rates.expand(-1, 3)}
         self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
+        self._last = torch.zeros(len(params), dtype=torch.int32, device=params.xyz_W.device)
+
+    def catch_up(self, rows: Int[Tensor, " R"]) -> None:
+        """Take the steps that these rows missed, each with zero gradient, as ``take_missed_steps`` does."""
+        rows = rows[self._last[rows] < self.steps]
+        if self._update is not None or not len(rows):
+            return
+        last = self._last[rows]
+        steps = MissedSteps(rows, self.steps - last, last, BETA1, BETA2, EPS)
+        for name, lr in self._rates.items():
+            steps.take(getattr(self.params, name), *self._moments[name], lr, self._factors.get(name))
+        self._last[rows] = self.steps
 
     def step(self, gradients: GaussianParams, rows: Int[Tensor, " R"] | None = None) -> None:
         """Update once.
 
         Args:
             gradients: Of ``params``, or of their ``rows``; further rows of it are ignored.
-            rows: Update only these, each once; the others keep their values and moments. None: all. [R]
+            rows: Update only these, each once; the others keep their values and moments (``catch_up``). None: all. [R]
         """
         self.steps += 1
+        self._last[slice(None) if rows is None else rows] = self.steps
         params = self.params if rows is None else self.params[rows]
         factors = self._factors if rows is None else {name: f[rows] for name, f in self._factors.items()}
         n = len(params)
@@ -352,18 +449,20 @@ class RowAdam:
     def take_over(self, earlier: "RowAdam", before: Int[Tensor, " N"]) -> None:
         """Continue with the moments and the step count of other rows; ``before`` is the row there of each, or -1."""
         self.steps, known = earlier.steps, before >= 0
+        self._last[known] = earlier._last[before[known]]
         for name, moments in self._moments.items():
             for mine, theirs in zip(moments, earlier._moments[name], strict=True):
                 mine[known] = theirs[before[known]]
 
     def state_dict(self) -> dict[str, Any]:
-        """Moments and step count."""
+        """Moments, and the number of steps, also of each row."""
         moments = {name: [moment.clone() for moment in pair] for name, pair in self._moments.items()}
-        return {"steps": self.steps, "moments": moments}
+        return {"steps": self.steps, "last": self._last.clone(), "moments": moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` saved, for parameters of the same shape."""
         self.steps = state["steps"]
+        self._last.copy_(state["last"])
         for name, moments in state["moments"].items():
             for mine, saved in zip(self._moments[name], moments, strict=True):
                 mine.copy_(saved)

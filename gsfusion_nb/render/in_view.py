@@ -6,10 +6,11 @@ has the same bits. Chunks that are hidden behind the measured depth of a view ca
 cost what is in the rooms behind its walls. Their share of the picture is the light that the walls let through.
 """
 
+import contextlib
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -28,6 +29,9 @@ CHUNK = 256
 
 WHOLE_BELOW = 50_000
 """A map with fewer rows is drawn, and stepped, as a whole, as it is published."""
+
+MOSTLY_SEEN = 0.7
+"""A map of which more is seen is drawn as a whole: to copy so many rows would take longer than to draw the others."""
 
 GRID = (12, 16)
 """Rows and columns of the cells of a view in which depth is compared."""
@@ -72,7 +76,7 @@ class Boxes:
         T_WC: Float[Tensor, "4 4"],
         depth_m: Float[Tensor, "h w"] | None = None,
     ) -> Int[Tensor, " R"] | None:
-        """Rows of the chunks that a camera may see, rising; None: all rows, because there are few, or all are seen.
+        """Rows of the chunks that a camera may see, rising; None: all rows, because there are few, or most are seen.
 
         Args:
             params: The map.
@@ -89,10 +93,20 @@ class Boxes:
         if depth_m is not None:
             near = Chunks(*(x[seen] for x in self._chunks))
             seen = seen[~chunks_behind(near, camera, T_CW, farthest_depth(depth_m).cpu().numpy())]
-        if len(seen) == len(self._chunks.low):
+        if len(seen) > MOSTLY_SEEN * len(self._chunks.low):
             return None
         rows = (CHUNK * seen[:, None] + np.arange(CHUNK)).ravel()
         return torch.from_numpy(rows[rows < n]).to(params.xyz_W.device)
+
+    @contextlib.contextmanager
+    def appending(self, model: Any) -> Iterator[None]:
+        """Context in which rows are only added at the end of a map: the boxes of the others stay."""
+        start, known = len(model.params) // CHUNK, self._of == _state(model.params)
+        yield
+        if known:
+            more = _chunks_of(model.params[start * CHUNK :])
+            self._chunks = Chunks(*(np.concatenate([x[:start], y]) for x, y in zip(self._chunks, more, strict=True)))
+            self._of = _state(model.params)
 
     def renew(self, params: GaussianParams, rows: Int[Tensor, " R"], part: GaussianParams) -> None:
         """Follow a change of only these ``rows``, which were all in the last result; ``part``: their new values."""

@@ -31,22 +31,9 @@ from ..runtime.numba.simd import (
     splat,
     store,
 )
-from .layout import (
-    PAIR_SUMS,
-    SUM_BLUE,
-    SUM_DEPTH,
-    SUM_G,
-    SUM_GREEN,
-    SUM_GX,
-    SUM_GXX,
-    SUM_GXY,
-    SUM_GY,
-    SUM_GYY,
-    SUM_RED,
-    TILE,
-)
+from . import layout as pair
 
-PIXELS = TILE * TILE
+PIXELS = pair.TILE * pair.TILE
 
 f32 = np.float32
 HALF, ONE, ZERO = f32(0.5), f32(1.0), f32(0.0)
@@ -66,19 +53,19 @@ def zeros(size):
 @njit(cache=True, error_model="numpy")
 def open_pixels(state, rows_open, pixels, x0, y0, width, height):
     """T in front of the first splat: 1 at the tile's pixels that are to be drawn, else -1. Returns the open rows."""
-    tile_width, tile_height = min(TILE, width - x0), min(TILE, height - y0)
+    tile_width, tile_height = min(pair.TILE, width - x0), min(pair.TILE, height - y0)
     masked = pixels.shape[0] > 0
-    if not masked and tile_width == TILE and tile_height == TILE:
+    if not masked and tile_width == pair.TILE and tile_height == pair.TILE:
         state[:PIXELS] = ONE
         rows_open[:] = 1
-        return TILE
+        return pair.TILE
     state[:PIXELS] = -ONE
     rows_open[:] = 0
     n_open = 0
     for r in range(tile_height):
         for i in range(tile_width):
             if not masked or pixels[y0 + r, x0 + i]:
-                state[r * TILE + i] = ONE
+                state[r * pair.TILE + i] = ONE
                 rows_open[r] = 1
         n_open += rows_open[r]
     return n_open
@@ -88,7 +75,7 @@ def open_pixels(state, rows_open, pixels, x0, y0, width, height):
 def rows_of(s, y0, height):
     """The rows of the tile at ``y0`` that splat ``s`` reaches: the first, and the one behind the last."""
     first = max(0, int(np.ceil(s[V] - s[EXTENT_V] - HALF)) - y0)
-    return first, min(min(TILE, height - y0), int(np.floor(s[V] + s[EXTENT_V] - HALF)) + 1 - y0)
+    return first, min(min(pair.TILE, height - y0), int(np.floor(s[V] + s[EXTENT_V] - HALF)) + 1 - y0)
 
 
 @njit(inline="always")
@@ -144,20 +131,20 @@ def composite_forward(splats, lists, pixels, image, indices, opaque):
     ids, offset = lists.ids, lists.offset
     height, width = image.depth.shape
     with_index, with_hit = indices.first.shape[0] > 0, indices.hit.shape[0] > 0
-    tiles_x = (width + TILE - 1) // TILE
-    tiles_y = (height + TILE - 1) // TILE
+    tiles_x = (width + pair.TILE - 1) // pair.TILE
+    tiles_y = (height + pair.TILE - 1) // pair.TILE
     n_tiles = tiles_x * tiles_y
     for k_tile in prange(cyclic_size(n_tiles)):
         tile = cyclic_task(k_tile, n_tiles)
         if tile >= n_tiles:
             continue
-        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        x0, y0 = (tile % tiles_x) * pair.TILE, (tile // tiles_x) * pair.TILE
         if offset[tile] == offset[tile + 1]:
             _clear(x0, y0, image, indices)
             continue
         state = zeros(_FORWARD_STATE if with_hit else _FORWARD_STATE_WITHOUT_HITS)
         state[_DOMINANT:] = -ONE
-        rows_open = np.empty(TILE, np.uint8)
+        rows_open = np.empty(pair.TILE, np.uint8)
         n_open = open_pixels(state, rows_open, pixels, x0, y0, width, height)
         if with_hit:  # finished pixels that still look for a hit keep their row open: -1 there, 0 at those not drawn
             for o in range(PIXELS):
@@ -174,7 +161,7 @@ def composite_forward(splats, lists, pixels, image, indices, opaque):
                 log_alpha, seen = row_exponent(s, q0, q1, f32(y0 + r) + HALF - s[V])
                 if not any_lane(seen):
                     continue
-                o = r * TILE
+                o = r * pair.TILE
                 alpha = alpha_of(log_alpha, seen)
                 w, _, T, _ = absorb(state, o, alpha)
                 _add_colour(state, o, w, s)
@@ -193,13 +180,13 @@ def composite_forward(splats, lists, pixels, image, indices, opaque):
 def _clear(x0, y0, image, indices):
     """The background on one tile."""
     height, width = image.depth.shape
-    for y in range(y0, min(y0 + TILE, height)):
-        for x in range(x0, min(x0 + TILE, width)):
+    for y in range(y0, min(y0 + pair.TILE, height)):
+        for x in range(x0, min(x0 + pair.TILE, width)):
             image.rgb[y, x, 0], image.rgb[y, x, 1], image.rgb[y, x, 2] = ZERO, ZERO, ZERO
             image.depth[y, x], image.alpha[y, x] = ZERO, ZERO
     for index in (indices.first, indices.dominant, indices.hit):
         if index.shape[0] > 0:
-            index[y0 : y0 + TILE, x0 : x0 + TILE] = -1
+            index[y0 : y0 + pair.TILE, x0 : x0 + pair.TILE] = -1
 
 
 @njit(inline="always")
@@ -235,9 +222,9 @@ def _write_tile(state, x0, y0, image, indices, pixels):
     """The tile's sums and indices into the images."""
     height, width = image.depth.shape
     with_index, with_hit = indices.first.shape[0] > 0, indices.hit.shape[0] > 0
-    for r in range(min(TILE, height - y0)):
-        for i in range(min(TILE, width - x0)):
-            o = r * TILE + i
+    for r in range(min(pair.TILE, height - y0)):
+        for i in range(min(pair.TILE, width - x0)):
+            o = r * pair.TILE + i
             y, x = y0 + r, x0 + i
             image.rgb[y, x, 0] = state[_SUM_RED + o]
             image.rgb[y, x, 1] = state[_SUM_GREEN + o]
@@ -271,27 +258,27 @@ def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sum
     pixels, trained = wanted
     all_trained = trained.shape[0] == 0
     height, width = image.depth.shape
-    tiles_x = (width + TILE - 1) // TILE
-    tiles_y = (height + TILE - 1) // TILE
+    tiles_x = (width + pair.TILE - 1) // pair.TILE
+    tiles_y = (height + pair.TILE - 1) // pair.TILE
     n_tiles = tiles_x * tiles_y
     for k_tile in prange(cyclic_size(n_tiles)):
         tile = cyclic_task(k_tile, n_tiles)
         if tile >= n_tiles:
             continue
-        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        x0, y0 = (tile % tiles_x) * pair.TILE, (tile // tiles_x) * pair.TILE
         end = offset[tile + 1]
         while end > offset[tile] and not (all_trained or trained[ids[end - 1]]):
             end -= 1
         if end == offset[tile]:
             continue
         state = zeros(_BACKWARD_STATE)
-        rows_open = np.empty(TILE, np.uint8)
+        rows_open = np.empty(pair.TILE, np.uint8)
         n_open = open_pixels(state, rows_open, pixels, x0, y0, width, height)
         _read_gradients(state, x0, y0, image, v_image, pixels.shape[0] > 0)
         for k in range(offset[tile], end):
             out = pair_sums[slot[k]]
             if n_open == 0:
-                for i in range(PAIR_SUMS):
+                for i in range(pair.PAIR_SUMS):
                     out[i] = ZERO
                 if abs_sums is not None:
                     abs_sums[slot[k], 0], abs_sums[slot[k], 1] = ZERO, ZERO
@@ -307,9 +294,9 @@ def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sum
 def _read_gradients(state, x0, y0, image, v_image, masked):
     """dL/d of the tile's pixels, and the whole of C . v, into their planes."""
     height, width = image.depth.shape
-    for r in range(min(TILE, height - y0)):
-        for i in range(min(TILE, width - x0)):
-            o, y, x = r * TILE + i, y0 + r, x0 + i
+    for r in range(min(pair.TILE, height - y0)):
+        for i in range(min(pair.TILE, width - x0)):
+            o, y, x = r * pair.TILE + i, y0 + r, x0 + i
             total = ZERO
             for c in range(3):
                 state[_V_RED + c * PIXELS + o] = v_image.rgb[y, x, c]
@@ -358,7 +345,7 @@ def _add_up(state, rows_open, s, place, out, abs_sums, slot):
         log_alpha, seen = row_exponent(s, q0, q1, dy)
         if not any_lane(seen):
             continue
-        o = r * TILE
+        o = r * pair.TILE
         raw = exp(log_alpha)
         alpha = select(seen, minimum(raw, splat(CEILING)), zero)
         w, T_open, T, goes_on = absorb(state, o, alpha)
@@ -380,10 +367,12 @@ def _add_up(state, rows_open, s, place, out, abs_sums, slot):
             rows_open[r] = 0
             finished += 1
     gx = sum_g * dx
-    out[SUM_GX], out[SUM_GY] = reduce_add(gx), reduce_add(sum_gy)
-    out[SUM_GXX], out[SUM_GXY], out[SUM_GYY] = reduce_add(gx * dx), reduce_add(sum_gy * dx), reduce_add(sum_gyy)
-    out[SUM_G], out[SUM_DEPTH] = reduce_add(sum_g), reduce_add(sum_z)
-    out[SUM_RED], out[SUM_GREEN], out[SUM_BLUE] = reduce_add(sum_r), reduce_add(sum_gr), reduce_add(sum_b)
+    out[pair.SUM_GX], out[pair.SUM_GY] = reduce_add(gx), reduce_add(sum_gy)
+    out[pair.SUM_GXX], out[pair.SUM_GXY] = reduce_add(gx * dx), reduce_add(sum_gy * dx)
+    out[pair.SUM_GYY] = reduce_add(sum_gyy)
+    out[pair.SUM_G], out[pair.SUM_DEPTH] = reduce_add(sum_g), reduce_add(sum_z)
+    out[pair.SUM_RED], out[pair.SUM_GREEN] = reduce_add(sum_r), reduce_add(sum_gr)
+    out[pair.SUM_BLUE] = reduce_add(sum_b)
     if abs_sums is not None:
         abs_sums[slot, 0], abs_sums[slot, 1] = -reduce_add(minus_u), -reduce_add(minus_v)
     return finished
@@ -402,7 +391,7 @@ def _pass_through(state, rows_open, s, place):
         log_alpha, seen = row_exponent(s, q0, q1, f32(y0 + r) + HALF - s[V])
         if not any_lane(seen):
             continue
-        o = r * TILE
+        o = r * pair.TILE
         w, _, T, _ = absorb(state, o, alpha_of(log_alpha, seen))
         _pass_on(state, o, w, splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH]))
         if not any_lane(splat(ZERO) < T):

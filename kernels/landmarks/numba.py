@@ -14,7 +14,6 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from gsfusion_nb.tracking.features import DEPTH_SIGMA_PER_M
 from gsfusion_nb.tracking.landmark_pose import (
     CAUCHY,
     DAMPING,
@@ -24,6 +23,7 @@ from gsfusion_nb.tracking.landmark_pose import (
     LandmarkRows,
     LandmarkSums,
 )
+from gsfusion_nb.tracking.matching import DEPTH_SIGMA_PER_M
 
 from ..runtime.arguments import lens_of
 from ..runtime.numba.scalars import solve_into, turn_about_camera

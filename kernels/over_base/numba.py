@@ -25,19 +25,7 @@ from gsfusion_nb.render.over_base import Base, OverBaseOutput
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..binning.numba import tile_windows
-from ..composite.layout import (
-    PAIR_SUMS,
-    SUM_BLUE,
-    SUM_DEPTH,
-    SUM_G,
-    SUM_GREEN,
-    SUM_GX,
-    SUM_GXX,
-    SUM_GXY,
-    SUM_GY,
-    SUM_GYY,
-    SUM_RED,
-)
+from ..composite import layout as pair
 from ..composite.numba import CEILING, HALF, ONE, ZERO, across, alpha_of, row_exponent, zeros
 from ..project.layout import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, EXTENT_U, EXTENT_V, GREEN, RED, U, V, pack_camera
 from ..project.numba import gradients_of, project
@@ -266,19 +254,19 @@ def _add_up(s, planes, height, width, out, abs_sums, m):
                 minus_u = minus_u + negative_abs(g * (splat(s[CONIC_A]) * dx + splat(s[CONIC_B] * dy)))
                 minus_v = minus_v + negative_abs(g * (splat(s[CONIC_B]) * dx + splat(s[CONIC_C] * dy)))
         gx = sum_g * dx
-        out[SUM_GX] += reduce_add(gx)
-        out[SUM_GY] += reduce_add(sum_gy)
-        out[SUM_GXX] += reduce_add(gx * dx)
-        out[SUM_GXY] += reduce_add(sum_gy * dx)
-        out[SUM_GYY] += reduce_add(sum_gyy)
-        out[SUM_G] += reduce_add(sum_g)
-        out[SUM_RED] += reduce_add(sum_r)
-        out[SUM_GREEN] += reduce_add(sum_gr)
-        out[SUM_BLUE] += reduce_add(sum_b)
+        out[pair.SUM_GX] += reduce_add(gx)
+        out[pair.SUM_GY] += reduce_add(sum_gy)
+        out[pair.SUM_GXX] += reduce_add(gx * dx)
+        out[pair.SUM_GXY] += reduce_add(sum_gy * dx)
+        out[pair.SUM_GYY] += reduce_add(sum_gyy)
+        out[pair.SUM_G] += reduce_add(sum_g)
+        out[pair.SUM_RED] += reduce_add(sum_r)
+        out[pair.SUM_GREEN] += reduce_add(sum_gr)
+        out[pair.SUM_BLUE] += reduce_add(sum_b)
         if abs_sums is not None:
             abs_sums[m, 0] -= reduce_add(minus_u)
             abs_sums[m, 1] -= reduce_add(minus_v)
-    out[SUM_DEPTH] = ZERO
+    out[pair.SUM_DEPTH] = ZERO
 
 
 _ALL_PIXELS = np.empty((0, 0), np.bool_)
@@ -329,7 +317,7 @@ def render_over_base_vjp(
     drawn, stride = np.flatnonzero(np.diff(saved.start)).astype(np.int32), stride_of(W)
     with launching():
         planes = scratch("base_planes", PLANES * H * stride)
-        sums = scratch("splat_sums", len(drawn) * PAIR_SUMS).reshape(-1, PAIR_SUMS)
+        sums = scratch("splat_sums", len(drawn) * pair.PAIR_SUMS).reshape(-1, pair.PAIR_SUMS)
         abs_sums = None if v_uv_abs is None else scratch("abs_sums", len(drawn) * 2).reshape(-1, 2)
         v_image = v_rgb.contiguous().numpy()
         behind = np.float32(saved.behind_m)

@@ -16,63 +16,13 @@ from gsfusion_nb.render.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, S
 from gsfusion_nb.types import GaussianParams
 
 from ..binning.layout import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
-from ..composite.layout import (
-    PAIR_SUMS,
-    SUM_BLUE,
-    SUM_DEPTH,
-    SUM_G,
-    SUM_GREEN,
-    SUM_GX,
-    SUM_GXX,
-    SUM_GXY,
-    SUM_GY,
-    SUM_GYY,
-    SUM_RED,
-    TILE,
-)
+from ..composite import layout as pair
 from ..harmonics.numba import basis_into, gradient_into
 from ..runtime.numba import shared_cache as shared_cache  # before the functions are made
 from ..runtime.numba.launch import scratch
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
-from .layout import (
-    BLUE,
-    CENTRE_X,
-    CENTRE_Y,
-    CENTRE_Z,
-    CONIC_A,
-    CONIC_B,
-    CONIC_C,
-    CX,
-    CY,
-    DEPTH,
-    EXTENT_U,
-    EXTENT_V,
-    FX,
-    FY,
-    GREEN,
-    HEIGHT,
-    LIMIT_X,
-    LIMIT_Y,
-    LN_OPACITY,
-    R00,
-    R01,
-    R02,
-    R10,
-    R11,
-    R12,
-    R20,
-    R21,
-    R22,
-    RED,
-    SPLAT,
-    T0,
-    T1,
-    T2,
-    WIDTH,
-    U,
-    V,
-    arrays_of,
-)
+from . import layout as col
+from .layout import arrays_of
 
 f32 = np.float32
 _SMALL = f32(1e-12)
@@ -95,16 +45,16 @@ NOTED_PER_CHUNK = 16 * CHUNK
 @njit(inline="always")
 def camera_point(cam, X, Y, Z):
     """A point of the world in the camera frame."""
-    x = cam[R00] * X + cam[R01] * Y + cam[R02] * Z + cam[T0]
-    y = cam[R10] * X + cam[R11] * Y + cam[R12] * Z + cam[T1]
-    z = cam[R20] * X + cam[R21] * Y + cam[R22] * Z + cam[T2]
+    x = cam[col.R00] * X + cam[col.R01] * Y + cam[col.R02] * Z + cam[col.T0]
+    y = cam[col.R10] * X + cam[col.R11] * Y + cam[col.R12] * Z + cam[col.T1]
+    z = cam[col.R20] * X + cam[col.R21] * Y + cam[col.R22] * Z + cam[col.T2]
     return x, y, z
 
 
 @njit(inline="always")
 def direction(cam, X, Y, Z):
     """Unit vector from the camera's centre to a point of the world, and 1 / its distance."""
-    dx, dy, dz = X - cam[CENTRE_X], Y - cam[CENTRE_Y], Z - cam[CENTRE_Z]
+    dx, dy, dz = X - cam[col.CENTRE_X], Y - cam[col.CENTRE_Y], Z - cam[col.CENTRE_Z]
     inv = _ONE / max(math.sqrt(dx * dx + dy * dy + dz * dz), _SMALL)
     return dx * inv, dy * inv, dz * inv, inv
 
@@ -135,14 +85,14 @@ def _band(splat, y_first, y_last):
     The ellipse's right edge x(y) = (-B dy + sqrt(B^2 dy^2 - A (C dy^2 - r))) / A is concave, so its largest value in
     the band is at the rightmost point's dy clamped to the band; the left edge likewise.
     """
-    u, v, A, B, C = splat[U], splat[V], splat[CONIC_A], splat[CONIC_B], splat[CONIC_C]
+    u, v, A, B, C = splat[col.U], splat[col.V], splat[col.CONIC_A], splat[col.CONIC_B], splat[col.CONIC_C]
     slack = f32(2e-3)  # for rounding: more entries, the same picture
-    reach = _TWO * (splat[LN_OPACITY] - _LOG_ALPHA_MIN) + slack
-    low = max(f32(y_first) + _HALF - v, -splat[EXTENT_V])
-    high = min(f32(y_last) + _HALF - v, splat[EXTENT_V])
-    dy = min(max(-B * splat[EXTENT_U] / C, low), high)
+    reach = _TWO * (splat[col.LN_OPACITY] - _LOG_ALPHA_MIN) + slack
+    low = max(f32(y_first) + _HALF - v, -splat[col.EXTENT_V])
+    high = min(f32(y_last) + _HALF - v, splat[col.EXTENT_V])
+    dy = min(max(-B * splat[col.EXTENT_U] / C, low), high)
     right = (-B * dy + math.sqrt(max(B * B * dy * dy - A * (C * dy * dy - reach), _ZERO))) / A
-    dy = min(max(B * splat[EXTENT_U] / C, low), high)
+    dy = min(max(B * splat[col.EXTENT_U] / C, low), high)
     left = (-B * dy - math.sqrt(max(B * B * dy * dy - A * (C * dy * dy - reach), _ZERO))) / A
     return int(math.ceil(u + left - _HALF)), int(math.floor(u + right - _HALF))
 
@@ -153,19 +103,19 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
 
     Only tiles count in whose window (``binning.tile_windows``) it can be seen; an empty array stands for whole tiles.
     """
-    y_first = max(0, int(math.ceil(splat[V] - splat[EXTENT_V] - _HALF)))
-    y_last = min(height - 1, int(math.floor(splat[V] + splat[EXTENT_V] - _HALF)))
-    tiles_x = (width + TILE - 1) // TILE
+    y_first = max(0, int(math.ceil(splat[col.V] - splat[col.EXTENT_V] - _HALF)))
+    y_last = min(height - 1, int(math.floor(splat[col.V] + splat[col.EXTENT_V] - _HALF)))
+    tiles_x = (width + pair.TILE - 1) // pair.TILE
     n = 0
     masked = windows.shape[0] > 0
     if y_first > y_last:
         return n
-    for ty in range(y_first // TILE, y_last // TILE + 1):
-        left, right = _band(splat, max(y_first, ty * TILE), min(y_last, ty * TILE + TILE - 1))
+    for ty in range(y_first // pair.TILE, y_last // pair.TILE + 1):
+        left, right = _band(splat, max(y_first, ty * pair.TILE), min(y_last, ty * pair.TILE + pair.TILE - 1))
         left, right = max(left, 0), min(right, width - 1)
         if left > right:
             continue
-        for tx in range(left // TILE, right // TILE + 1):
+        for tx in range(left // pair.TILE, right // pair.TILE + 1):
             if masked:
                 t = ty * tiles_x + tx
                 beside = (left > windows[t, LAST_X]) | (right < windows[t, FIRST_X])
@@ -190,11 +140,11 @@ def centre_vjp(splats, start, trained, pair_sums, v_uv):
         if start[i] == start[i + 1] or not (all_trained or trained[i]):
             continue
         for slot in range(start[i], start[i + 1]):
-            g_x += pair_sums[slot, SUM_GX]
-            g_y += pair_sums[slot, SUM_GY]
+            g_x += pair_sums[slot, pair.SUM_GX]
+            g_y += pair_sums[slot, pair.SUM_GY]
         s = splats[i]
-        v_uv[i, 0] = s[CONIC_A] * g_x + s[CONIC_B] * g_y
-        v_uv[i, 1] = s[CONIC_B] * g_x + s[CONIC_C] * g_y
+        v_uv[i, 0] = s[col.CONIC_A] * g_x + s[col.CONIC_B] * g_y
+        v_uv[i, 1] = s[col.CONIC_B] * g_x + s[col.CONIC_C] * g_y
 
 
 @njit(cache=True, error_model="numpy")
@@ -214,7 +164,7 @@ def row_sums(start, trained, abs_sums, v_uv_abs):
 def project(params: GaussianParams, cam: np.ndarray, wanted: TileWindows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """``splats``, ``count`` and ``noted`` of ``project_rows``; only inside ``launching``."""
     N = len(params)
-    splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
+    splats, count = np.empty((N, col.SPLAT), np.float32), np.empty(N, np.int32)
     noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
     project_rows(arrays_of(params), cam, wanted, splats, count, noted)
     return splats, count, noted
@@ -259,7 +209,7 @@ def project_rows(params, cam, wanted, splats, count, noted):
     xyz, log_scale, quat, logit, sh = params.xyz, params.log_scale, params.quat, params.logit, params.sh
     windows, sums = wanted.windows, wanted.sums
     N = sh.shape[0]
-    width, height = int(cam[WIDTH]), int(cam[HEIGHT])
+    width, height = int(cam[col.WIDTH]), int(cam[col.HEIGHT])
     n_parts = (N + CHUNK - 1) // CHUNK
     for k_part in prange(cyclic_size(n_parts)):
         part = cyclic_task(k_part, n_parts)
@@ -277,7 +227,7 @@ def project_rows(params, cam, wanted, splats, count, noted):
             if not (z > _NEAR and opacity >= _ALPHA_MIN):
                 continue
             s = splats[i]
-            s[DEPTH], s[LN_OPACITY] = z, math.log(opacity)
+            s[col.DEPTH], s[col.LN_OPACITY] = z, math.log(opacity)
             if not _project(cam, x, y, z, log_scale[i], quat[i], s):
                 continue
             at, room = part * NOTED_PER_CHUNK + n_noted, NOTED_PER_CHUNK - n_noted
@@ -297,8 +247,8 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
     A box around the largest possible picture of a row is looked up in ``sums`` (``binning.tile_windows``). There is no
     branch: which rows pass is random to the processor, and a wrong guess costs as much as the test.
     """
-    fx, fy = cam[FX], cam[FY]
-    width, height = int(cam[WIDTH]), int(cam[HEIGHT])
+    fx, fy = cam[col.FX], cam[col.FY]
+    width, height = int(cam[col.WIDTH]), int(cam[col.HEIGHT])
     far = f32(1e6)  # keeps the conversion to int defined
     n = 0
     for i in range(first, end):
@@ -306,16 +256,16 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
         x, y, z = camera_point(cam, X, Y, Z)
         inv_z = _ONE / max(z, _NEAR)
         x, y = x * inv_z, y * inv_z
-        tx, ty = clamp(x, cam[LIMIT_X]), clamp(y, cam[LIMIT_Y])
-        u, v = fx * x + cam[CX], fy * y + cam[CY]
+        tx, ty = clamp(x, cam[col.LIMIT_X]), clamp(y, cam[col.LIMIT_Y])
+        u, v = fx * x + cam[col.CX], fy * y + cam[col.CY]
         # the rows of J are fx/z sqrt(1 + tx^2) and fy/z sqrt(1 + ty^2) long
         size = math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2])) * inv_z
         reach_u = _BEYOND * (fx * size * math.sqrt(_ONE + tx * tx) + _ONE)
         reach_v = _BEYOND * (fy * size * math.sqrt(_ONE + ty * ty) + _ONE)
         left, right = int(max(u - reach_u, -far)), int(min(u + reach_u, far))
         top, bottom = int(max(v - reach_v, -far)), int(min(v + reach_v, far))
-        x0, x1 = min(max(left, 0), width) // TILE, (min(max(right, -1), width - 1) + TILE) // TILE
-        y0, y1 = min(max(top, 0), height) // TILE, (min(max(bottom, -1), height - 1) + TILE) // TILE
+        x0, x1 = min(max(left, 0), width) // pair.TILE, (min(max(right, -1), width - 1) + pair.TILE) // pair.TILE
+        y0, y1 = min(max(top, 0), height) // pair.TILE, (min(max(bottom, -1), height - 1) + pair.TILE) // pair.TILE
         tiles = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
         found[n] = i
         n += int((z > _NEAR) & (tiles > 0))
@@ -326,15 +276,15 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
 def _project(cam, x, y, z, log_scale, quat, s):
     """Centre, conic and extent of a Gaussian at (x, y, z) in the camera frame; whether they are within limits."""
     inv_z = _ONE / z
-    u, v = cam[FX] * x * inv_z + cam[CX], cam[FY] * y * inv_z + cam[CY]
-    tx, ty = clamp(x * inv_z, cam[LIMIT_X]), clamp(y * inv_z, cam[LIMIT_Y])
-    a, b = cam[FX] * inv_z, cam[FY] * inv_z
+    u, v = cam[col.FX] * x * inv_z + cam[col.CX], cam[col.FY] * y * inv_z + cam[col.CY]
+    tx, ty = clamp(x * inv_z, cam[col.LIMIT_X]), clamp(y * inv_z, cam[col.LIMIT_Y])
+    a, b = cam[col.FX] * inv_z, cam[col.FY] * inv_z
     _, r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(quat)
     s0, s1, s2 = math.exp(log_scale[0]), math.exp(log_scale[1]), math.exp(log_scale[2])
     # rows of J R_CW, then times each column of R_q S
-    jx0, jy0 = a * (cam[R00] - tx * cam[R20]), b * (cam[R10] - ty * cam[R20])
-    jx1, jy1 = a * (cam[R01] - tx * cam[R21]), b * (cam[R11] - ty * cam[R21])
-    jx2, jy2 = a * (cam[R02] - tx * cam[R22]), b * (cam[R12] - ty * cam[R22])
+    jx0, jy0 = a * (cam[col.R00] - tx * cam[col.R20]), b * (cam[col.R10] - ty * cam[col.R20])
+    jx1, jy1 = a * (cam[col.R01] - tx * cam[col.R21]), b * (cam[col.R11] - ty * cam[col.R21])
+    jx2, jy2 = a * (cam[col.R02] - tx * cam[col.R22]), b * (cam[col.R12] - ty * cam[col.R22])
     mu0, mv0 = (jx0 * r00 + jx1 * r10 + jx2 * r20) * s0, (jy0 * r00 + jy1 * r10 + jy2 * r20) * s0
     mu1, mv1 = (jx0 * r01 + jx1 * r11 + jx2 * r21) * s1, (jy0 * r01 + jy1 * r11 + jy2 * r21) * s1
     mu2, mv2 = (jx0 * r02 + jx1 * r12 + jx2 * r22) * s2, (jy0 * r02 + jy1 * r12 + jy2 * r22) * s2
@@ -344,11 +294,11 @@ def _project(cam, x, y, z, log_scale, quat, s):
     c0, c1, c2 = mu1 * mv2 - mu2 * mv1, mu2 * mv0 - mu0 * mv2, mu0 * mv1 - mu1 * mv0
     cross2 = c0 * c0 + c1 * c1 + c2 * c2
     inv_det = _ONE / (cross2 + _BLUR * (uu + vv) + _BLUR * _BLUR)
-    s[U], s[V] = u, v
-    s[CONIC_A], s[CONIC_B], s[CONIC_C] = (vv + _BLUR) * inv_det, -uv * inv_det, (uu + _BLUR) * inv_det
-    reach = _TWO * (s[LN_OPACITY] - _LOG_ALPHA_MIN)
-    s[EXTENT_U], s[EXTENT_V] = math.sqrt(reach * (uu + _BLUR)), math.sqrt(reach * (vv + _BLUR))
-    small = s[EXTENT_U] < _FARTHEST and s[EXTENT_V] < _FARTHEST
+    s[col.U], s[col.V] = u, v
+    s[col.CONIC_A], s[col.CONIC_B], s[col.CONIC_C] = (vv + _BLUR) * inv_det, -uv * inv_det, (uu + _BLUR) * inv_det
+    reach = _TWO * (s[col.LN_OPACITY] - _LOG_ALPHA_MIN)
+    s[col.EXTENT_U], s[col.EXTENT_V] = math.sqrt(reach * (uu + _BLUR)), math.sqrt(reach * (vv + _BLUR))
+    small = s[col.EXTENT_U] < _FARTHEST and s[col.EXTENT_V] < _FARTHEST
     return abs(u) < _FARTHEST and abs(v) < _FARTHEST and small
 
 
@@ -363,7 +313,7 @@ def _colour(cam, xyz, sh, basis, s):
         red += basis[k] * sh[k, 0]
         green += basis[k] * sh[k, 1]
         blue += basis[k] * sh[k, 2]
-    s[RED], s[GREEN], s[BLUE] = max(red, _ZERO), max(green, _ZERO), max(blue, _ZERO)
+    s[col.RED], s[col.GREEN], s[col.BLUE] = max(red, _ZERO), max(green, _ZERO), max(blue, _ZERO)
     return abs(red) < _INFINITE and abs(green) < _INFINITE and abs(blue) < _INFINITE
 
 
@@ -383,7 +333,7 @@ def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
         part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
-        total = np.empty(PAIR_SUMS, np.float32)
+        total = np.empty(pair.PAIR_SUMS, np.float32)
         basis, w = np.empty(16, np.float32), np.empty(16, np.float32)
         for i in range(part * CHUNK, min(N, part * CHUNK + CHUNK)):
             if start[i] == start[i + 1] or not (all_trained or trained[i]):
@@ -395,10 +345,10 @@ def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
                 continue
             total[:] = _ZERO
             for slot in range(start[i], start[i + 1]):
-                for j in range(PAIR_SUMS):
+                for j in range(pair.PAIR_SUMS):
                     total[j] += pair_sums[slot, j]
             s = splats[i]
-            v_logit[i] = total[SUM_G] * (_ONE - math.exp(s[LN_OPACITY]))
+            v_logit[i] = total[pair.SUM_G] * (_ONE - math.exp(s[col.LN_OPACITY]))
             _project_vjp(cam, s, total, (xyz[i], log_scale[i], quat[i]), v_xyz[i], v_log_scale[i], v_quat[i])
             _colour_vjp(cam, s, total, xyz[i], sh[i], (basis, w), v_xyz[i], v_sh[i])
 
@@ -409,33 +359,33 @@ def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
     xyz, log_scale, quat = row
     v_u, v_v, v_uu, v_uv, v_vv = _covariance_vjp(s, total)
     x, y, _ = camera_point(cam, xyz[0], xyz[1], xyz[2])
-    inv_z = _ONE / s[DEPTH]
+    inv_z = _ONE / s[col.DEPTH]
     x_z, y_z = x * inv_z, y * inv_z
-    tx, ty = clamp(x_z, cam[LIMIT_X]), clamp(y_z, cam[LIMIT_Y])
+    tx, ty = clamp(x_z, cam[col.LIMIT_X]), clamp(y_z, cam[col.LIMIT_Y])
     norm, r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(quat)
-    frame = (cam[FX] * inv_z, cam[FY] * inv_z, tx, ty, v_uu, v_uv, v_vv)
+    frame = (cam[col.FX] * inv_z, cam[col.FY] * inv_z, tx, ty, v_uu, v_uv, v_vv)
     g00, g10, g20, l0, tx0, ty0, mm0 = _column_vjp(cam, frame, r00, r10, r20, math.exp(log_scale[0]))
     g01, g11, g21, l1, tx1, ty1, mm1 = _column_vjp(cam, frame, r01, r11, r21, math.exp(log_scale[1]))
     g02, g12, g22, l2, tx2, ty2, mm2 = _column_vjp(cam, frame, r02, r12, r22, math.exp(log_scale[2]))
     v_log_scale[0], v_log_scale[1], v_log_scale[2] = l0, l1, l2
     v_tx, v_ty, v_mm = tx0 + tx1 + tx2, ty0 + ty1 + ty2, mm0 + mm1 + mm2
     _quaternion_vjp(quat, norm, (g00, g01, g02, g10, g11, g12, g20, g21, g22), v_quat)
-    v_xz = cam[FX] * v_u + (v_tx if tx == x_z else _ZERO)
-    v_yz = cam[FY] * v_v + (v_ty if ty == y_z else _ZERO)
+    v_xz = cam[col.FX] * v_u + (v_tx if tx == x_z else _ZERO)
+    v_yz = cam[col.FY] * v_v + (v_ty if ty == y_z else _ZERO)
     c0, c1 = v_xz * inv_z, v_yz * inv_z
-    c2 = total[SUM_DEPTH] - inv_z * (x_z * v_xz + y_z * v_yz + v_mm)
-    v_xyz[0] = cam[R00] * c0 + cam[R10] * c1 + cam[R20] * c2
-    v_xyz[1] = cam[R01] * c0 + cam[R11] * c1 + cam[R21] * c2
-    v_xyz[2] = cam[R02] * c0 + cam[R12] * c1 + cam[R22] * c2
+    c2 = total[pair.SUM_DEPTH] - inv_z * (x_z * v_xz + y_z * v_yz + v_mm)
+    v_xyz[0] = cam[col.R00] * c0 + cam[col.R10] * c1 + cam[col.R20] * c2
+    v_xyz[1] = cam[col.R01] * c0 + cam[col.R11] * c1 + cam[col.R21] * c2
+    v_xyz[2] = cam[col.R02] * c0 + cam[col.R12] * c1 + cam[col.R22] * c2
 
 
 @njit(inline="always")
 def _covariance_vjp(s, total):
     """dL/d of the centre u, v and of the 2D covariance uu, uv, vv, from the sums over a splat's pixels."""
-    A, B, C = s[CONIC_A], s[CONIC_B], s[CONIC_C]
+    A, B, C = s[col.CONIC_A], s[col.CONIC_B], s[col.CONIC_C]
     # ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy,  d = pixel - centre
-    v_u, v_v = A * total[SUM_GX] + B * total[SUM_GY], B * total[SUM_GX] + C * total[SUM_GY]
-    v_A, v_B, v_C = -_HALF * total[SUM_GXX], -_HALF * total[SUM_GXY], -_HALF * total[SUM_GYY]
+    v_u, v_v = A * total[pair.SUM_GX] + B * total[pair.SUM_GY], B * total[pair.SUM_GX] + C * total[pair.SUM_GY]
+    v_A, v_B, v_C = -_HALF * total[pair.SUM_GXX], -_HALF * total[pair.SUM_GXY], -_HALF * total[pair.SUM_GYY]
     # v_cov = -Q v_Q Q
     p00, p01 = v_A * A + v_B * B, v_A * B + v_B * C
     p10, p11 = v_B * A + v_C * B, v_B * B + v_C * C
@@ -446,18 +396,18 @@ def _covariance_vjp(s, total):
 def _column_vjp(cam, frame, q0, q1, q2, scale):
     """One column of B = R_CW R_q S: the gradient to that column of R_q (3), its log scale, tx, ty, and m . v_m."""
     a, b, tx, ty, v_uu, v_uv, v_vv = frame
-    B0 = (cam[R00] * q0 + cam[R01] * q1 + cam[R02] * q2) * scale
-    B1 = (cam[R10] * q0 + cam[R11] * q1 + cam[R12] * q2) * scale
-    B2 = (cam[R20] * q0 + cam[R21] * q1 + cam[R22] * q2) * scale
+    B0 = (cam[col.R00] * q0 + cam[col.R01] * q1 + cam[col.R02] * q2) * scale
+    B1 = (cam[col.R10] * q0 + cam[col.R11] * q1 + cam[col.R12] * q2) * scale
+    B2 = (cam[col.R20] * q0 + cam[col.R21] * q1 + cam[col.R22] * q2) * scale
     m_u, m_v = a * (B0 - tx * B2), b * (B1 - ty * B2)
     v_mu = _TWO * v_uu * m_u + v_uv * m_v
     v_mv = _TWO * v_vv * m_v + v_uv * m_u
     v_B0, v_B1 = a * v_mu, b * v_mv
     v_B2 = -(tx * v_B0 + ty * v_B1)
     return (
-        (cam[R00] * v_B0 + cam[R10] * v_B1 + cam[R20] * v_B2) * scale,
-        (cam[R01] * v_B0 + cam[R11] * v_B1 + cam[R21] * v_B2) * scale,
-        (cam[R02] * v_B0 + cam[R12] * v_B1 + cam[R22] * v_B2) * scale,
+        (cam[col.R00] * v_B0 + cam[col.R10] * v_B1 + cam[col.R20] * v_B2) * scale,
+        (cam[col.R01] * v_B0 + cam[col.R11] * v_B1 + cam[col.R21] * v_B2) * scale,
+        (cam[col.R02] * v_B0 + cam[col.R12] * v_B1 + cam[col.R22] * v_B2) * scale,
         v_B0 * B0 + v_B1 * B1 + v_B2 * B2,
         -a * B2 * v_mu,
         -b * B2 * v_mv,
@@ -484,9 +434,9 @@ def _colour_vjp(cam, s, total, xyz, sh, scratch, v_xyz, v_sh):
     """From the colour of a splat to its coefficients and, through the direction of view, added to its position."""
     basis, w = scratch
     K = sh.shape[0]
-    v_red = total[SUM_RED] if s[RED] > _ZERO else _ZERO
-    v_green = total[SUM_GREEN] if s[GREEN] > _ZERO else _ZERO
-    v_blue = total[SUM_BLUE] if s[BLUE] > _ZERO else _ZERO
+    v_red = total[pair.SUM_RED] if s[col.RED] > _ZERO else _ZERO
+    v_green = total[pair.SUM_GREEN] if s[col.GREEN] > _ZERO else _ZERO
+    v_blue = total[pair.SUM_BLUE] if s[col.BLUE] > _ZERO else _ZERO
     dx, dy, dz, inv = direction(cam, xyz[0], xyz[1], xyz[2])
     basis_into(dx, dy, dz, K, basis)
     for k in range(K):

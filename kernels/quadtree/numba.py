@@ -14,27 +14,16 @@ from gsfusion_nb.seeding.quadtree import QUADTREE_NORMALISER, Cells
 from gsfusion_nb.seeding.quadtree import quadtree as reference
 
 from ..runtime.numba.launch import launching
-from .layout import (
-    HEIGHT,
-    LEAF_COLUMNS,
-    LEVEL,
-    LUMA_DENOMINATOR,
-    LUMA_NUMERATORS,
-    WIDTH,
-    X0,
-    Y0,
-    deepest_level,
-    to_cells,
-)
+from . import layout as col
 
-_RED, _GREEN, _BLUE = LUMA_NUMERATORS
-_DENOMINATOR = float(LUMA_DENOMINATOR)
+_RED, _GREEN, _BLUE = col.LUMA_NUMERATORS
+_DENOMINATOR = float(col.LUMA_DENOMINATOR)
 _NORMALISER = float(QUADTREE_NORMALISER)
 
 _SUM_RED, _SUM_GREEN, _SUM_BLUE, _SUM_SQUARES = range(4)
 """Sums over the pixels of a cell, int64: the channels, and their luma-weighted squares."""
 _SUMS = 4
-_N_COLUMNS = len(LEAF_COLUMNS)
+_N_COLUMNS = len(col.LEAF_COLUMNS)
 
 
 def quadtree(
@@ -45,7 +34,7 @@ def quadtree(
         return reference.reference(rgb_u8, threshold=threshold, min_cell_px=min_cell_px, contrast=contrast)
     image = rgb_u8.contiguous().numpy()
     height, width = image.shape[:2]
-    levels = deepest_level(width, height, min_cell_px)
+    levels = col.deepest_level(width, height, min_cell_px)
     with launching():
         xs, ys = _lines(width, levels), _lines(height, levels)
         split = np.empty(0, np.uint8)
@@ -54,7 +43,7 @@ def quadtree(
             _sums(image, xs[::2].copy(), ys[::2].copy(), sums)
             split = _splits(sums, xs, ys, levels, float(threshold), int(min_cell_px), contrast == "released")
         leaves = _leaves(split, xs, ys, levels).copy()
-    return to_cells(torch.from_numpy(leaves))
+    return col.to_cells(torch.from_numpy(leaves))
 
 
 @njit(cache=True, error_model="numpy")
@@ -153,9 +142,9 @@ def _leaves(split, xs, ys, levels):
                 top += 1
             continue
         step = 1 << (levels - level)
-        leaves[X0, count], leaves[Y0, count] = xs[j * step], ys[i * step]
-        leaves[WIDTH, count] = xs[(j + 1) * step] - xs[j * step]
-        leaves[HEIGHT, count] = ys[(i + 1) * step] - ys[i * step]
-        leaves[LEVEL, count] = level
+        leaves[col.X0, count], leaves[col.Y0, count] = xs[j * step], ys[i * step]
+        leaves[col.WIDTH, count] = xs[(j + 1) * step] - xs[j * step]
+        leaves[col.HEIGHT, count] = ys[(i + 1) * step] - ys[i * step]
+        leaves[col.LEVEL, count] = level
         count += 1
     return leaves[:, :count]

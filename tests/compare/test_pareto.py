@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsfusion_nb.compare.pareto import pareto_front
+from gsfusion_nb.compare.page import pareto_front
 
 
 def test_by_hand():

@@ -7,7 +7,7 @@ import torch
 
 import gsfusion_nb
 from gsfusion_nb.course import gradients
-from gsfusion_nb.course.gradient_check import central_difference, compare_gradients
+from gsfusion_nb.course.gradients import central_difference, compare_gradients
 from gsfusion_nb.course.source_lines import source_lines
 from gsfusion_nb.render import project_gaussians
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from gsfusion_nb.compare.pareto import pareto_front
+from gsfusion_nb.compare.page import pareto_front
 from gsfusion_nb.course import cell_budget, check, seeding
 from gsfusion_nb.seeding import check_rule
 

@@ -10,8 +10,9 @@ import torch
 
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import BadFrameError, apply_options
-from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion, HalfMappedError, make_mapper
+from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, FrameUndone, GSFusion, HalfMappedError, make_mapper
 from gsfusion_nb.mapping.step import BLACK, check_frame
+from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.tsdf import FusedView, TsdfVolume
@@ -73,6 +74,34 @@ def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(syst
         mapper.step(frame)
     for frame in frames:
         never.step(frame)
+    same(maps_of(never), maps_of(mapper))
+
+
+@pytest.mark.parametrize("whole_below", [0, 10**9])
+@pytest.mark.parametrize("system", ["rtg_slam", "gps_slam"])
+def test_a_frame_that_is_stopped_at_any_step_leaves_the_map_as_it_was(
+    small_room, config, system, whole_below, same, monkeypatch
+):
+    monkeypatch.setattr(in_view, "WHOLE_BELOW", whole_below)
+    config = settings(system, config)
+    if system == "gps_slam":  # so few pictures would get no Gaussians
+        config = replace(config, seeding__rule="uniform", seeding__options={})
+    frames = list(apply_options(small_room, config.data).mapping)[:6]
+    mapper, never = make_mapper(config), make_mapper(config)
+    n_stops = 0
+    for frame in frames:
+        before = copy.deepcopy(mapper.state_dict())
+        for wanted_at in range(0, 200, 1 if system == "gps_slam" else 4):
+            asked = iter(range(wanted_at))
+            mapper.guard.stop_wanted = lambda asked=asked: next(asked, None) is None
+            try:
+                mapper.step(frame)
+                break
+            except FrameUndone:
+                n_stops += 1
+                same(before, mapper.state_dict())
+        never.step(frame)
+    assert n_stops > 5
     same(maps_of(never), maps_of(mapper))
 
 

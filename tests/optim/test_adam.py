@@ -1,6 +1,7 @@
 """Adam with one constant rate per group, against torch's."""
 
 import dataclasses
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -10,7 +11,16 @@ from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.gaussians import Edit, GaussianModel
 from gsfusion_nb.gaussians.model import PARAMETERS
 from gsfusion_nb.kernels.runtime.cases import make_params
-from gsfusion_nb.optim import ColumnRates, RowAdam, adam_step, adam_update, adam_update_map
+from gsfusion_nb.optim import (
+    ColumnRates,
+    PartOfMap,
+    RowAdam,
+    adam_step,
+    adam_update,
+    adam_update_map,
+    take_missed_steps,
+)
+from gsfusion_nb.render import Boxes
 from gsfusion_nb.types import GaussianParams, Seeds
 
 MOMENTS = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-15}
@@ -242,3 +252,57 @@ def test_the_rows_of_a_window_take_their_part_too(generator):
     moved, expected = part.xyz_W - params.xyz_W, whole.xyz_W - params.xyz_W
     torch.testing.assert_close(moved, factor[:, None] * expected, atol=1e-6, rtol=0)
     assert torch.equal(moved[1::3], expected[1::3])
+
+
+@pytest.mark.parametrize("adam_steps", ["none", "shared", "per_row"])
+@pytest.mark.parametrize("missed", [1, 7, 400])
+def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed):
+    config = OptimConfig(adam_steps=adam_steps)
+    whole, part = GaussianModel(2), GaussianModel(2)
+    for n in (5, 7):  # of two ages
+        more = rows(n, generator)
+        for model in (whole, part):
+            model.extend(more)
+        for _ in range(4):
+            g = rows(len(whole), generator)
+            adam_step(whole, g, config)
+            adam_step(part, g, config)
+    part.set_rate("quat", torch.linspace(0, 2, 12))
+    whole.set_rate("quat", torch.linspace(0, 2, 12))
+    seen, boxes = torch.tensor([0, 1, 4, 5, 6]), Mock(Boxes)
+    for _ in range(missed):
+        g = rows(12, generator)
+        hidden = [i for i in range(12) if i not in seen.tolist()]
+        for column in vars(g).values():
+            column[hidden] = 0.0
+        adam_step(whole, g, config)
+        some = PartOfMap(part, seen, boxes)
+        take_missed_steps(some, config)
+        adam_step(some, g[seen], config)
+        some.write_back()
+    assert not torch.equal(part.params.xyz_W, whole.params.xyz_W)
+    take_missed_steps(part, config)
+    for of in ("params", "exp_avg", "exp_avg_sq"):
+        for name, column in vars(getattr(part, of)).items():
+            torch.testing.assert_close(column, getattr(getattr(whole, of), name), atol=1e-6, rtol=1e-4)
+    before = part.params.xyz_W.clone()
+    take_missed_steps(part, config)
+    assert torch.equal(part.params.xyz_W, before)
+
+
+def test_missed_steps_of_some_rows(generator):
+    params, seen = rows(9, generator), torch.tensor([1, 2, 7])
+    whole, part = RowAdam(copy(params), RATES), RowAdam(copy(params), RATES)
+    for _ in range(3):
+        g = rows(9, generator)
+        whole.step(g)
+        part.step(g)
+    for _ in range(5):
+        g = rows(9, generator)
+        for column in vars(g).values():
+            column[[i for i in range(9) if i not in seen.tolist()]] = 0.0
+        whole.step(g)
+        part.step(g[seen], seen)
+    part.catch_up(torch.arange(9))
+    for name in PARAMETERS:
+        torch.testing.assert_close(getattr(part.params, name), getattr(whole.params, name), atol=1e-6, rtol=1e-5)

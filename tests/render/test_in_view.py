@@ -19,6 +19,7 @@ CAMERA = Camera(width=64, height=48, fx=50.0, fy=55.0, cx=30.0, cy=27.0)
 
 @pytest.fixture(autouse=True)
 def _small_maps_in_chunks(monkeypatch):
+    monkeypatch.setattr(in_view, "MOSTLY_SEEN", 0.99)
     monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
 
 
@@ -170,3 +171,23 @@ def test_a_step_leaves_what_no_view_shows_as_it_is(small_room, cloud):
     for name in vars(far):
         assert torch.equal(getattr(mapper.gaussians.params, name)[:n], getattr(far, name)[:n])
     assert (mapper.gaussians.exp_avg.sh[len(far) :] != 0).any()
+
+
+@pytest.mark.parametrize("start", [0, 5, in_view.CHUNK, 700])
+def test_boxes_grow_with_the_map(cloud, generator, start):
+    model, boxes, T_WC = GaussianModel(0), Boxes(), torch.eye(4)
+    model.extend(cloud[:start])
+    boxes.rows(model.params, CAMERA, T_WC)
+    with boxes.appending(model):
+        model.extend(cloud[start:])
+    known = boxes._of
+    for T_WC in poses(generator, 5):
+        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+    assert boxes._of == known
+    with boxes.appending(model):
+        pass
+    model.params.xyz_W.add_(1.0)
+    with boxes.appending(model):
+        model.extend(cloud[:3])
+    for T_WC in poses(generator, 5):
+        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from quiz import Question, bank, by_chapter
 
-from .assemble import ARCHIVE, Assembly, Settings, read_settings
-from .pages import places_of
+from .assemble import ARCHIVE, Assembly, Settings, places_of, read_settings
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from gsfusion_nb.course.exercise import exercises
 
-from .pages import Places, in_the_book, numbered, raw
+from .assemble import Places, in_the_book, numbered, raw
 
 _PICTURES = {"image/png": "png", "image/jpeg": "jpg"}
 _SOURCE = re.compile(r'<a href="(?:\.\./)+([\w/.-]+)#line=(\d+)"[^>]*>(.*?)</a>')

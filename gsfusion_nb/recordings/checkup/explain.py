@@ -18,18 +18,7 @@ from ...config.parts import AXES, NAMED_AXES
 from ...data.adjust.depth_agreement import depth_consistency, relative_poses, sparse_points
 from ...data.adjust.poses import axis_matrix, reread_poses
 from ...types import Camera
-from .fit import (
-    KINDS,
-    Agreement,
-    CalibrationCorrection,
-    FitData,
-    FittedCorrection,
-    agreement,
-    correct,
-    cost_of,
-    search,
-    together,
-)
+from . import fit
 from .sample import WINDOW, Sample
 
 GAPS = (1, 2, 4, 8, 16, 30)
@@ -155,16 +144,16 @@ class Explanation:
 
     interpretation: RepairConfig
     """Direction, axes, quaternion order and units."""
-    correction: CalibrationCorrection
-    adopted: dict[str, FittedCorrection]
+    correction: fit.CalibrationCorrection
+    adopted: dict[str, fit.FittedCorrection]
     """The corrections that every part of the recording confirms, by kind."""
     contradicted: frozenset[str]
     """Kinds of corrections that a part of the recording does not confirm."""
-    fits: dict[str, FittedCorrection]
+    fits: dict[str, fit.FittedCorrection]
     """The last fit of every kind, adopted or only tried."""
-    as_read: Agreement
-    repaired: Agreement
-    data: FitData
+    as_read: fit.Agreement
+    repaired: fit.Agreement
+    data: fit.FitData
     """Data of the pairs under ``interpretation``."""
     tried: list[ScoredInterpretation]
     """The interpretations that were compared, best first."""
@@ -184,22 +173,22 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
     far = [p for p in pairs if p[1] - p[0] > 1] or list(pairs)
     followed = []
     for t in (as_read, *others):
-        data = FitData.of(sample, far, t.repair)
-        adopted, last = correct(data)
-        share = agreement(data, together(adopted)).share
+        data = fit.FitData.of(sample, far, t.repair)
+        adopted, last = fit.correct(data)
+        share = fit.agreement(data, fit.together(adopted)).share
         followed.append((share - PRICE * (len(t.repair.changes) + 2 * len(adopted)), t.repair, adopted, last, data))
     _, interpretation, adopted, last, data = max(followed, key=lambda f: f[0])
     contradicted = _contradicted(adopted, sample, far, interpretation)
     kept = [f for f in adopted if f.kind not in contradicted]
-    correction, units = together(kept), with_units(interpretation, sample)
-    repaired = agreement(data, correction)
+    correction, units = fit.together(kept), with_units(interpretation, sample)
+    repaired = fit.agreement(data, correction)
     return Explanation(
         interpretation=units,
         correction=correction,
         adopted={f.kind: f for f in kept},
         contradicted=contradicted,
         fits={f.kind: f for f in (*last, *kept)},
-        as_read=agreement(FitData.of(sample, far, RepairConfig()), CalibrationCorrection()),
+        as_read=fit.agreement(fit.FitData.of(sample, far, RepairConfig()), fit.CalibrationCorrection()),
         repaired=repaired._replace(median_m=repaired.median_m * units.depth_factor / interpretation.depth_factor),
         data=data,
         tried=tried,
@@ -208,7 +197,10 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
 
 
 def _contradicted(
-    adopted: list[FittedCorrection], sample: Sample, pairs: abc.Sequence[tuple[int, int]], interpretation: RepairConfig
+    adopted: list[fit.FittedCorrection],
+    sample: Sample,
+    pairs: abc.Sequence[tuple[int, int]],
+    interpretation: RepairConfig,
 ) -> frozenset[str]:
     """Kinds of corrections that a third of the recording, fitted alone, contradicts, or that fewer than two know.
 
@@ -218,17 +210,17 @@ def _contradicted(
     ordered = sorted(pairs, key=sum)
     cuts = [round(k * len(ordered) / _PARTS) for k in range(_PARTS + 1)]
     parts = [ordered[a:b] for a, b in itertools.pairwise(cuts) if b - a >= _LEAST_PAIRS]
-    whole, found = together(adopted), set()
+    whole, found = fit.together(adopted), set()
     brief = len(sample.frames) < WINDOW and any(f.kind == "pose time" for f in adopted)
     for one in adopted if len(parts) > 1 else []:
-        kind, start = KINDS[one.kind], together(f for f in adopted if f is not one)
+        kind, start = fit.KINDS[one.kind], fit.together(f for f in adopted if f is not one)
         if not kind.width:
             continue
         field = max(one.added, key=lambda x: abs(one.added[x]))
         wanted, knowing, agreeing = one.added[field], 0, True
-        for data in (FitData.of(sample, part, interpretation) for part in parts):
-            cost = cost_of(data, whole)
-            best, spread = search(cost, start, kind, data.thinning * data.camera.width / 640)
+        for data in (fit.FitData.of(sample, part, interpretation) for part in parts):
+            cost = fit.cost_of(data, whole)
+            best, spread = fit.search(cost, start, kind, data.thinning * data.camera.width / 640)
             best = min(best, whole, key=cost)  # the search may end in another valley
             knowing += spread < abs(wanted)
             value = getattr(best, field) - getattr(start, field)
@@ -238,7 +230,7 @@ def _contradicted(
     return frozenset(found)
 
 
-def repair_of(c: CalibrationCorrection, camera: Camera, interpretation: RepairConfig) -> RepairConfig:
+def repair_of(c: fit.CalibrationCorrection, camera: Camera, interpretation: RepairConfig) -> RepairConfig:
     """An interpretation and a correction as the options of a reader, rounded to the precision of the measurement."""
     found: dict = {}
     if c.log_scale:

@@ -8,7 +8,7 @@ import pytest
 
 from gsfusion_nb.compare import Budget
 from gsfusion_nb.compare.outputs import Results, Table
-from gsfusion_nb.compare.pareto import costs_of, figure_of
+from gsfusion_nb.compare.page import costs_of, figure_of
 from gsfusion_nb.compare.statistics import group_runs
 
 
