@@ -414,7 +414,8 @@ class RowAdam:
         last = self._last[rows]
         steps = MissedSteps(rows, self.steps - last, last, BETA1, BETA2, EPS)
         for name, lr in self._rates.items():
-            steps.take(getattr(self.params, name), *self._moments[name], lr, self._factors.get(name))
+            m, v = self._moments[name]
+            steps.take(getattr(self.params, name), m, v, lr, self._factors.get(name))
         self._last[rows] = self.steps
 
     def step(self, gradients: GaussianParams, rows: Int[Tensor, " R"] | None = None) -> None:

@@ -9,6 +9,8 @@ from .brightness import brightness_levels as brightness_levels
 from .brightness import brightness_rows as brightness_rows
 from .brightness import brightness_system as brightness_system
 from .brightness import picture_of as picture_of
+from .features import Features as Features
+from .features import extract_features as extract_features
 from .icp import IcpResult as IcpResult
 from .icp import IcpSystem as IcpSystem
 from .icp import align as align
@@ -20,8 +22,6 @@ from .icp import point_to_plane as point_to_plane
 from .keyframe_database import KeyframeDatabase as KeyframeDatabase
 from .landmark_map import LandmarkMap as LandmarkMap
 from .landmark_map import Sighting as Sighting
-from .matching import Features as Features
-from .matching import extract_features as extract_features
 from .pose_graph import Edge as Edge
 from .pose_graph import odometry_information as odometry_information
 from .pose_graph import optimise_poses as optimise_poses

@@ -21,10 +21,11 @@ from ..checks import check_pose
 from ..geometry import backproject, project, quaternion, se3
 from ..types import Camera, Frame
 from .bundle_adjustment import adjust
+from .features import FEATURES, LEVELS, Features
 from .keyframe_database import KeyframeDatabase
 from .landmark_map import LandmarkMap
 from .landmarks import SEARCH_SHARE, Landmarks
-from .matching import FEATURES, LEVELS, Features, RelativePose, refine_pose, rows_of
+from .matching import RelativePose, refine_pose, rows_of
 from .pose_graph import Edge, edge_error, fit_odometry, odometry_information, optimise_poses, with_floor
 
 log = logging.getLogger(__name__)

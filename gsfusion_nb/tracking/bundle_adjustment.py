@@ -23,9 +23,9 @@ from torch import Tensor
 
 from ..geometry import se3
 from ..types import Camera
+from .features import DEPTH_SIGMA_PER_M
 from .landmark_pose import inverse_or_zero, point_errors, robust_cost, robust_weight
 from .landmarks import Observations
-from .matching import DEPTH_SIGMA_PER_M
 from .pose_graph import Edge, EdgeTerms
 
 FIRST_DAMPING = 1e-4

@@ -17,7 +17,8 @@ from torch import Tensor
 from ..checks import check_pose
 from ..geometry import se3
 from ..types import Camera, Frame
-from .matching import FEATURES, LEVELS, Features, RelativePose, extract_features, relative_pose
+from .features import FEATURES, LEVELS, Features, extract_features
+from .matching import RelativePose, relative_pose
 
 TABLES = 8
 BITS = 12

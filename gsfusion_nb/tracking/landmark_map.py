@@ -12,11 +12,12 @@ from torch import Tensor
 
 from ..types import Camera
 from .bundle_adjustment import adjust
+from .features import FEATURES, LEVELS, Features
 from .icp import ExtraRows
 from .keyframe_database import KeyframeDatabase
 from .landmark_pose import LandmarkRows, inverse_or_zero, landmark_pose, landmark_sums
 from .landmarks import SEARCH_SHARE, Landmarks
-from .matching import FEATURES, LEVELS, Features, found_near, in_view
+from .matching import found_near, in_view
 
 LATEST = 3
 """The local map has the landmarks of this many keyframes, the last ones, ..."""

@@ -21,7 +21,7 @@ from ..checks import check_array
 from ..geometry import se3
 from ..geometry.operands import check_camera, check_operand
 from ..types import Camera
-from .matching import DEPTH_SIGMA_PER_M
+from .features import DEPTH_SIGMA_PER_M
 
 CAUCHY = 2.4
 """Larger errors, in standard deviations, get less weight (95 % efficiency for Gaussian errors)."""

@@ -10,9 +10,10 @@ from numpy import ndarray
 from torch import Tensor
 
 from ..geometry import se3
+from .features import Features
 from .keyframe_database import KeyframeDatabase
 from .landmark_pose import LandmarkRows, inverse_or_zero
-from .matching import Features, found_near
+from .matching import found_near
 
 NO_LANDMARK = -1
 

@@ -14,6 +14,7 @@ import torch
 from numba import njit
 from torch import Tensor
 
+from gsfusion_nb.tracking.features import DEPTH_SIGMA_PER_M
 from gsfusion_nb.tracking.landmark_pose import (
     CAUCHY,
     DAMPING,
@@ -23,7 +24,6 @@ from gsfusion_nb.tracking.landmark_pose import (
     LandmarkRows,
     LandmarkSums,
 )
-from gsfusion_nb.tracking.matching import DEPTH_SIGMA_PER_M
 
 from ..runtime.arguments import lens_of
 from ..runtime.numba.scalars import solve_into, turn_about_camera

@@ -13,7 +13,8 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from gsfusion_nb.tracking.matching import MAX_HAMMING, RATIO, SEARCHED_FROM_M, Features
+from gsfusion_nb.tracking.features import Features
+from gsfusion_nb.tracking.matching import MAX_HAMMING, RATIO, SEARCHED_FROM_M
 from gsfusion_nb.types import Camera
 
 from ..runtime.arguments import lens_of

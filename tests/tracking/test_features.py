@@ -7,7 +7,7 @@ import torch
 
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import project
-from gsfusion_nb.tracking.matching import extract_features
+from gsfusion_nb.tracking.features import extract_features
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=160, height=120, fx=130.0, fy=125.0, cx=81.0, cy=58.5)

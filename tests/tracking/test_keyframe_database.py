@@ -8,8 +8,8 @@ import torch
 from gsfusion_nb.data.room import room
 from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.tracking.features import extract_features
 from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
-from gsfusion_nb.tracking.matching import extract_features
 
 
 @pytest.fixture(scope="module")

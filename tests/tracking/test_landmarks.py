@@ -6,11 +6,11 @@ import torch
 from gsfusion_nb.data.room import room
 from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.tracking.features import Features, extract_features
 from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
 from gsfusion_nb.tracking.landmark_map import LandmarkMap
 from gsfusion_nb.tracking.landmark_pose import landmark_sums
 from gsfusion_nb.tracking.landmarks import Landmarks
-from gsfusion_nb.tracking.matching import Features, extract_features
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)

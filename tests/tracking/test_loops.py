@@ -8,7 +8,8 @@ import torch
 from gsfusion_nb.data.room import render_room, room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.back_end import depth_agreement, depth_thumbnail, may_drift, why_not_same_place
-from gsfusion_nb.tracking.matching import extract_features, relative_pose
+from gsfusion_nb.tracking.features import extract_features
+from gsfusion_nb.tracking.matching import relative_pose
 
 
 def turned(degrees):

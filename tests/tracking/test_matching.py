@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.tracking.features import Features
 from gsfusion_nb.tracking.landmark_pose import LandmarkRows
-from gsfusion_nb.tracking.matching import Features, refine_pose, relative_pose
+from gsfusion_nb.tracking.matching import refine_pose, relative_pose
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=160.0, cy=121.0)
