@@ -6,8 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from book.assemble import Places, api_page, in_the_book, places_of, quiz_page
-from book.chapters import Chapter
+from book.assemble import api_page, quiz_page
+from book.chapters import Chapter, Places, in_the_book, places_of
 from quiz import question
 
 from gsfusion_nb.course import exercises

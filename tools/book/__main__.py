@@ -13,7 +13,8 @@ from pathlib import Path
 
 from quiz import Question, bank, by_chapter
 
-from .assemble import ARCHIVE, Assembly, Settings, places_of, read_settings
+from .assemble import ARCHIVE, Assembly, Settings, read_settings
+from .chapters import places_of
 
 log = logging.getLogger(__name__)
 

@@ -3,17 +3,104 @@
 import ast
 import base64
 import io
+import posixpath
 import re
-from collections.abc import Mapping
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from html import escape
 from itertools import count, groupby
+from pathlib import Path
 from typing import Any
 
 from PIL import Image
 
 from gsfusion_nb.course.exercise import exercises
 
-from .assemble import Places, in_the_book, numbered, raw
+_PAGES = re.compile(
+    r"(README|ARCHITECTURE|CONTRIBUTING)\.md|docs/(measured/|teaching/(quiz/)?)?[^/]+\.md|notebooks/[^/]+\.ipynb"
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Places:
+    """The project's files, and where each of them is for a reader of the book."""
+
+    root: Path
+    files: frozenset[str]
+    """Paths of the project's files, below ``root``."""
+    repository: str = ""
+    """Address below which a repository shows its files, with a slash at its end; "" without a repository."""
+
+    def is_page(self, path: str) -> bool:
+        """Whether a file is a page of the book; a notebook is."""
+        return bool(_PAGES.fullmatch(path)) and path in self.files
+
+    def source_url(self, path: str, line: int = 0) -> str:
+        """Address of a file in the repository; "" if there is none."""
+        known = self.repository and path in self.files
+        return f"{self.repository}{path}{f'#L{line}' if line else ''}" if known else ""
+
+
+def places_of(root: Path, repository: str = "") -> Places:
+    """The files that git knows in a project."""
+    listed = subprocess.run(["git", "-C", str(root), "ls-files"], capture_output=True, text=True, check=True)
+    files = frozenset(f for f in listed.stdout.splitlines() if (root / f).is_file())
+    return Places(root=root, files=files, repository=repository)
+
+
+_FENCE = re.compile(r"(^```.*?^```[ ]*$)", re.MULTILINE | re.DOTALL)
+_REMARK = re.compile(r"<!--.*?-->\s*", re.DOTALL)
+_LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
+_EQUATION = re.compile(r"^\$\$(.+?)\$\$[ ]*$", re.MULTILINE | re.DOTALL)
+
+
+def _outside_code(text: str, change: Callable[[str], str]) -> str:
+    return "".join(piece if piece.startswith("```") else change(piece) for piece in _FENCE.split(text))
+
+
+def in_the_book(text: str, page: str, places: Places) -> str:
+    """A page's Markdown, changed for the book.
+
+    Args:
+        text: Markdown.
+        page: The page's path in the project.
+        places: Where the other files are.
+    """
+
+    def link(match: re.Match[str]) -> str:
+        bang, words, target = match.groups()
+        name, _, anchor = target.partition("#")
+        if "://" in target or not name or bang:
+            return match[0]
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(page), name))
+        if places.is_page(path):
+            shown = f"{name.removesuffix('.ipynb')}.md" if name.endswith(".ipynb") else name
+            return f"[{words}]({shown}#{anchor})" if anchor else f"[{words}]({shown})"
+        return f"[{words}]({places.source_url(path)})" if places.source_url(path) else words
+
+    return _outside_code(text, lambda piece: _LINK.sub(link, _REMARK.sub("", piece)))
+
+
+def numbered(text: str, chapter: str, count: Callable[[], int]) -> str:
+    """Equations that stand alone get a number, unless they have one of a paper, and a place that a link can name."""
+
+    def number(match: re.Match[str]) -> str:
+        name = f"{chapter}.{count()}"
+        body = match[1].strip()
+        tag = "" if r"\tag{" in body else rf" \tag{{{name}}}"
+        anchor = f"eq-{name.replace('.', '-')}"
+        link = f'<a href="#{anchor}" title="Link to equation {name}">#<span>equation {name}</span></a>'
+        formula = f'<div class="math notranslate nohighlight">\\[{escape(body, quote=False)}{tag}\\]</div>'
+        return raw(f'<div class="gsnb-equation" id="{anchor}">{link}</div>{formula}')
+
+    return _outside_code(text, lambda piece: _EQUATION.sub(number, piece))
+
+
+def raw(html: str) -> str:
+    """HTML in a page in Markdown, whatever it contains."""
+    return f"\n``````{{raw}} html\n{html}\n``````\n"
+
 
 _PICTURES = {"image/png": "png", "image/jpeg": "jpg"}
 _SOURCE = re.compile(r'<a href="(?:\.\./)+([\w/.-]+)#line=(\d+)"[^>]*>(.*?)</a>')
