@@ -242,6 +242,7 @@ class Mapper(ABC):
         """
         last_view, last = self._last_part
         if last_view is view and last is not None and last.is_current:
+            self.gaussians.will_change(last.rows)
             return last
         depth_m = view.farthest_m if isinstance(view, Keyframe) else view.depth_m
         rows = self.boxes.rows(self.gaussians.params, view.camera, view.T_WC, depth_m)

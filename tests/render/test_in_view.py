@@ -191,3 +191,20 @@ def test_boxes_grow_with_the_map(cloud, generator, start):
         model.extend(cloud[:3])
     for T_WC in poses(generator, 5):
         assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+
+
+def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_room, cloud):
+    mapper = GSFusion(replace(gsfusion("room"), sh_degree=0, **STEPS, **COARSE))
+    mapper.begin_with(cloud)
+    frame, optim = small_room[0], mapper.config.optim
+    part = mapper.part_in_view(frame, optim)
+    part.params.xyz_W.add_(1.0)
+    part.write_back()
+    before, undo = mapper.gaussians.snapshot(), mapper.gaussians.log_changes()
+    assert mapper.part_in_view(frame, optim) is part
+    part.params.xyz_W.add_(1.0)
+    part.write_back()
+    assert not torch.equal(before["xyz_W"], mapper.gaussians.params.xyz_W)
+    undo()
+    assert all(torch.equal(before[name], column) for name, column in mapper.gaussians.columns.items())
+    assert mapper.part_in_view(frame, optim) is not part
