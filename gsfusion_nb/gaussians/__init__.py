@@ -14,4 +14,5 @@ from .surfels import change_states as change_states
 from .surfels import count_errors as count_errors
 from .surfels import count_views as count_views
 from .surfels import fuse_with_history as fuse_with_history
+from .surfels import radius_of as radius_of
 from .surfels import state_counts as state_counts

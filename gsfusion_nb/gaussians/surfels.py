@@ -26,6 +26,12 @@ _ANCHOR = ("xyz_W", "log_scale", "quat")
 _AT_LEAST_0 = ("state", "confidence", "colour_errors", "depth_errors", "frames_in_view")
 
 
+def radius_of(scale_m: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
+    """Mean of the two largest standard deviations, metres: half of the largest sum of two."""
+    a, b, c = scale_m.unbind(dim=1)
+    return torch.maximum(torch.maximum(a + b, a + c), b + c) / 2
+
+
 class SurfelModel(GaussianModel):
     """A Gaussian map whose rows are also surfels: normal, confidence count, birth frame, error counters, state.
 
@@ -85,7 +91,7 @@ class SurfelModel(GaussianModel):
     @property
     def radius_m(self) -> Float[Tensor, " N"]:
         """Mean of the two largest standard deviations, metres."""
-        return self.scale_m.sort(dim=-1).values[:, 1:].mean(dim=-1)
+        return radius_of(self.scale_m)
 
     @property
     def anchor(self) -> dict[str, Tensor]:
@@ -144,7 +150,7 @@ def state_counts(model: SurfelModel) -> dict[str, int]:
         "unstable_opaque": ~stable & ~transparent,
         "unstable_transparent": ~stable & transparent,
     }
-    counts = torch.stack(list(kinds.values())).sum(dim=1).tolist()  # the host waits for a GPU once
+    counts = torch.stack([kind.count_nonzero() for kind in kinds.values()]).tolist()  # the host waits for a GPU once
     return dict(zip(kinds, counts, strict=True))
 
 
@@ -235,34 +241,33 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
         stable_confidence=config.stable_confidence, error_count=config.error_count,
         unstable_frames=config.unstable_frames,
     )  # fmt: skip
-    ready, wrong, expired = (happens == what for what in (BECOMES_STABLE, BECOMES_UNSTABLE, DELETED))
+    rows = happens.nonzero()[:, 0]  # few
+    ready, wrong, expired = (rows[happens[rows] == what] for what in (BECOMES_STABLE, BECOMES_UNSTABLE, DELETED))
     model.state[ready] = STABLE
     for counter in (model.colour_errors, model.depth_errors):
         counter[ready] = 0
 
     gone = torch.zeros_like(stable)
+    gone[expired] = True
     if config.on_error == "release":
         model.state[wrong] = UNSTABLE
-        model.confidence[wrong] = 0
         model.birth_step[wrong] = model.step_count
-        model.frames_in_view[wrong] = 0
-        model.colour_errors[wrong] = 0
-        model.depth_errors[wrong] = 0
+        for counter in (model.confidence, model.frames_in_view, model.colour_errors, model.depth_errors):
+            counter[wrong] = 0
     else:
-        gone = wrong
+        gone[wrong] = True
 
-    oversized = torch.zeros_like(expired)
+    oversized = torch.zeros_like(stable)
     if config.max_radius_factor is not None and len(model):
         radius = model.radius_m
-        for rows in (model.is_stable, ~model.is_stable):
-            mean = sum_rows(torch.where(rows, radius, 0.0)) / rows.sum()  # NaN without rows; no radius is above NaN
-            oversized |= rows & (radius > config.max_radius_factor * mean)
-    changed = (ready, wrong, expired, oversized & ~expired & ~gone)
-    gone = gone | expired | oversized
-    stabilised, released, n_expired, n_oversized, n_gone = torch.stack([*changed, gone]).sum(dim=1).tolist()
-    if n_gone:
-        model.keep(~gone)
-    return Transitions(stabilised=stabilised, released=released, expired=n_expired, oversized=n_oversized)
+        for kind in (model.is_stable, ~model.is_stable):
+            mean = sum_rows(torch.where(kind, radius, 0.0)) / kind.sum()  # NaN without rows; no radius is above NaN
+            oversized |= kind & (radius > config.max_radius_factor * mean)
+        oversized &= ~gone
+    n_oversized = int(oversized.count_nonzero())
+    if n_oversized or bool(gone.any()):
+        model.keep(~(gone | oversized))
+    return Transitions(stabilised=len(ready), released=len(wrong), expired=len(expired), oversized=n_oversized)
 
 
 @piece

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ..gaussians import radius_of
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0
 from ..types import Camera, GaussianParams
@@ -215,7 +216,7 @@ def view_map(gaussians: Any, frame_index: int) -> MapView:
     return MapView(
         xyz_W=params.xyz_W,
         scale_m=scale_m,
-        radius_m=scale_m.sort(dim=-1).values[:, 1:].mean(dim=-1),
+        radius_m=radius_of(scale_m),
         opacity=params.opacity_logit.sigmoid(),
         quat=params.quat,
         sh=params.sh,

@@ -179,11 +179,9 @@ def sized(
     """Give every disc its radius; leave out those that overlap others too much."""
     has_map = ctx.gaussians is not None and len(ctx.map) > 0
     xyz, radius = (ctx.map.xyz_W, ctx.map.radius_m) if has_map else (seeds.xyz_W[:0], seeds.opacity[:0])
-    if fidelity != "code" and has_map:  # only opaque discs cover a surface
-        solid = ctx.map.opacity > 0.5
-        xyz, radius = xyz[solid], radius[solid]
+    solid = ctx.map.opacity > 0.5 if fidelity != "code" and has_map else None  # only opaque discs cover a surface
     is_transparent = seeds.opacity < 0.5
-    gaps = gaps_around(seeds.xyz_W, xyz, radius)
+    gaps = gaps_around(seeds.xyz_W, xyz, radius, counted=solid)
     size = gaps.size_m.clamp(min_radius_m, max_radius_m)
     size = torch.where(is_transparent, size.clamp(max=max(transparent_radius_m, min_radius_m)), size)
     seeds = dataclasses.replace(seeds, scale_m=torch.stack([size, size, thickness * size], dim=1))
@@ -252,6 +250,7 @@ def gaps_around(
     neighbour_xyz_W: Float[Tensor, "N 3"],
     neighbour_radius_m: Float[Tensor, " N"],
     *,
+    counted: Bool[Tensor, " N"] | None = None,
     reach: float = REACH,
     neighbours: int = NEIGHBOURS,
 ) -> Gaps:
@@ -261,6 +260,7 @@ def gaps_around(
         xyz_W: New points, metres.
         neighbour_xyz_W: Centres of the discs that exist.
         neighbour_radius_m: Their radii.
+        counted: Which of them count; all by default.
         reach: An existing disc covers the space within this many of its radii.
         neighbours: Number of nearest neighbours; fewer if there are fewer points.
 
@@ -270,7 +270,9 @@ def gaps_around(
     if M == 0:
         return Gaps(gap_m=xyz_W.new_zeros(0, neighbours))
     low, high = xyz_W.amin(0) - BORDER_M, xyz_W.amax(0) + BORDER_M
-    near = ((neighbour_xyz_W >= low) & (neighbour_xyz_W <= high)).all(dim=1)
+    near = torch.ones(len(neighbour_xyz_W), dtype=torch.bool, device=xyz_W.device) if counted is None else counted
+    for x, least, most in zip(neighbour_xyz_W.unbind(1), low, high, strict=True):
+        near = near & (x >= least) & (x <= most)
     k = min(neighbours, M + int(near.sum()) - 1)
     if k == 0:
         return Gaps(gap_m=xyz_W.new_full((1, 1), torch.inf))
