@@ -168,9 +168,8 @@ class GrowingRows:
                 if isinstance(before, dict):
                     self.restore(before)
                 else:
-                    rows, columns = before
-                    for name, values in columns.items():
-                        self._columns[name][rows] = values
+                    for name, values in before[1].items():
+                        self._columns[name][before[0]] = values
             for name in set(self._columns) - log.names:
                 del self._columns[name]
             self._count = log.count

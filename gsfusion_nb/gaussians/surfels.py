@@ -264,9 +264,9 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
             mean = sum_rows(torch.where(kind, radius, 0.0)) / kind.sum()  # NaN without rows; no radius is above NaN
             oversized |= kind & (radius > config.max_radius_factor * mean)
         oversized &= ~gone
-    n_oversized = int(oversized.count_nonzero())
-    if n_oversized or bool(gone.any()):
+    if bool((gone | oversized).any()):
         model.keep(~(gone | oversized))
+    n_oversized = int(oversized.count_nonzero())
     return Transitions(stabilised=len(ready), released=len(wrong), expired=len(expired), oversized=n_oversized)
 
 

@@ -241,7 +241,7 @@ class RTGSLAM(Mapper):
 
     def _worst_pixels(self, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
         """The pixels with the largest colour errors, a fixed share of the image."""
-        view = self.surface(keyframe.camera, keyframe.T_WC)
+        view = self.surface(keyframe.camera, keyframe.T_WC, keyframe.farthest_m)
         error = (view.rgb - keyframe.rgb).abs().mean(dim=-1)
         return error >= error.flatten().quantile(1 - WORST_SHARE)
 
@@ -293,7 +293,7 @@ class RTGSLAM(Mapper):
         """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""
         part = self.boxes.rows(self.gaussians.params, frame.camera, frame.T_WC)
         count_views(self.gaussians, frame.camera, frame.T_WC, part)
-        view = self.surface(frame.camera, frame.T_WC)
+        view = self.surface(frame.camera, frame.T_WC, frame.depth_m)
         known = frame.depth_m > 0
         colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known
         depth_error_m = torch.where(known & (view.depth_m > 0), frame.depth_m - view.depth_m, 0.0)
@@ -302,12 +302,17 @@ class RTGSLAM(Mapper):
         )
         return _psnr_db(view.rgb, frame), change_states(self.gaussians, self.config.states)
 
-    def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfaceView:
-        """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5)."""
+    def surface(
+        self, camera: Camera, T_WC: Float[Tensor, "4 4"], depth_m: Float[Tensor, "h w"] | None = None
+    ) -> SurfaceView:
+        """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5).
+
+        With ``depth_m``, the measured depth, a large map is not drawn far behind it.
+        """
         T_WC = T_WC.to(self.device)
         return drawn_in_part(
             lambda params: view_surface(params, camera, T_WC, self.config.discs),
-            self.gaussians.params, self.boxes, camera, T_WC,
+            self.gaussians.params, self.boxes, camera, T_WC, depth_m,
         )  # fmt: skip
 
     @classmethod

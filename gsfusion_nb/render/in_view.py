@@ -210,6 +210,7 @@ def drawn_in_part(
     boxes: Boxes | None,
     camera: Camera,
     T_WC: Float[Tensor, "4 4"],
+    depth_m: Float[Tensor, "h w"] | None = None,
 ) -> View:
     """The result of ``draw``, for which only the part of the map is drawn that the camera may see.
 
@@ -218,8 +219,9 @@ def drawn_in_part(
         params: The map.
         boxes: Of the map; None draws all of it.
         camera, T_WC: as given to ``render``.
+        depth_m: Measured depth, of any size: what is hidden behind it is left out, also where the map has a hole.
     """
-    rows = None if boxes is None else boxes.rows(params, camera, T_WC)
+    rows = None if boxes is None else boxes.rows(params, camera, T_WC, depth_m)
     if rows is None:
         return draw(params)
     view: Any = draw(params[rows])

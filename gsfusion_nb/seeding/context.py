@@ -268,14 +268,15 @@ class SeedContext:
         surface, the disc that each pixel hits.
 
         Args:
-            rows: Draw only these Gaussians; indices in the result then refer to ``rows``.
+            rows: Draw only these Gaussians; indices in the result then refer to ``rows``. By default all, of a large
+                map without those far behind the measured depth.
         """
-        params = self._need_gaussians("surface()")
+        params, depth_m = self._need_gaussians("surface()"), self.frame.depth_m
 
         def draw(shown: GaussianParams) -> SurfaceView:
             return view_surface(shown, self.camera, self.frame.T_WC, self.discs)
 
-        return draw(params[rows]) if rows is not None else self._once("surface", lambda: self._drawn(draw, params))
+        return self._once("surface", lambda: self._drawn(draw, params, depth_m)) if rows is None else draw(params[rows])
 
     def grey(self) -> Float[Tensor, "H W"]:
         """Brightness of the picture, 0..1: 0.2989 R + 0.587 G + 0.114 B. [H, W]"""
@@ -429,8 +430,8 @@ class SeedContext:
             )
         return self.volume
 
-    def _drawn(self, draw: Callable[[GaussianParams], V], params: GaussianParams) -> V:
-        return drawn_in_part(draw, params, self.boxes, self.camera, self.frame.T_WC)
+    def _drawn(self, draw: Callable[[GaussianParams], V], params: GaussianParams, depth_m: Tensor | None = None) -> V:
+        return drawn_in_part(draw, params, self.boxes, self.camera, self.frame.T_WC, depth_m)
 
     def _need_gaussians(self, what: str) -> GaussianParams:
         if self.gaussians is None:

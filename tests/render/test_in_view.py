@@ -208,3 +208,17 @@ def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_roo
     undo()
     assert all(torch.equal(before[name], column) for name, column in mapper.gaussians.columns.items())
     assert mapper.part_in_view(frame, optim) is not part
+
+
+def test_a_picture_by_depth_has_nothing_far_behind_it(generator):
+    n = in_view.CHUNK
+    z = torch.tensor([2.0, 4.0]).repeat_interleave(n)
+    cloud = GaussianParams(
+        xyz_W=torch.stack([0 * z, 0 * z, z], 1) + 0.05 * torch.rand(2 * n, 3, generator=generator),
+        log_scale=torch.full((2 * n, 3), -4.0), quat=torch.ones(2 * n, 4), opacity_logit=torch.zeros(2 * n),
+        sh=torch.zeros(2 * n, 1, 3),
+    )  # fmt: skip
+    wall, T_WC = torch.full((48, 64), 2.0), torch.eye(4)
+    shown = drawn_in_part(lambda p: render(p, CAMERA, T_WC), cloud, Boxes(), CAMERA, T_WC, wall)
+    assert torch.equal(shown.rgb, render(cloud[:n], CAMERA, T_WC).rgb)
+    assert int(shown.first_index.max()) < n
