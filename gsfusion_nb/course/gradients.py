@@ -1,4 +1,4 @@
-"""Exercises of chapter 5: gradients written by hand."""
+"""Exercises of chapter 5: gradients written by hand, and their comparison with autograd and finite differences."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

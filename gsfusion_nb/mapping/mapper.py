@@ -21,7 +21,7 @@ from ..checks import shown
 from ..config import OptimConfig, SystemConfig, from_dict, to_dict
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose, take_missed_steps
-from ..render import Boxes, drawn_in_part, render
+from ..render import Boxes, drawn_in_part, in_view, render
 from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, move_memory, rule_name
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface
@@ -248,7 +248,7 @@ class Mapper(ABC):
         rows = self.boxes.rows(self.gaussians.params, view.camera, view.T_WC, depth_m)
         self.gaussians.will_change(rows)
         part = self.gaussians if rows is None else PartOfMap(self.gaussians, rows, self.boxes)
-        if self.training.optimiser is None:
+        if self.training.optimiser is None and len(self.gaussians) >= in_view.WHOLE_BELOW:  # a GPU would be waited for
             take_missed_steps(part, optim)
         self._last_part = (view, part) if isinstance(part, PartOfMap) else (None, None)
         return part

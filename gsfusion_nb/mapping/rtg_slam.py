@@ -98,8 +98,6 @@ class RTGSLAM(Mapper):
             with self.clock("keyframes"):
                 n_steps = self._optimise_keyframes() if keyframes_are_due else 0
             self.guard.may_stop()
-            if not runs_learners_code():
-                self._changes_stay()  # what follows changes counts of any row, and cannot fail
             with self.clock("states"):
                 after, transitions = self._manage_states(frame)
             self.gaussians.step_count = self.n_frames + 1
@@ -292,8 +290,10 @@ class RTGSLAM(Mapper):
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
         """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""
         part = self.boxes.rows(self.gaussians.params, frame.camera, frame.T_WC)
-        count_views(self.gaussians, frame.camera, frame.T_WC, part)
         view = self.surface(frame.camera, frame.T_WC, frame.depth_m)
+        if not runs_learners_code():
+            self._changes_stay()  # from here on the counts of any row change
+        count_views(self.gaussians, frame.camera, frame.T_WC, part)
         known = frame.depth_m > 0
         colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known
         depth_error_m = torch.where(known & (view.depth_m > 0), frame.depth_m - view.depth_m, 0.0)

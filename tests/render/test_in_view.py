@@ -221,4 +221,5 @@ def test_a_picture_by_depth_has_nothing_far_behind_it(generator):
     wall, T_WC = torch.full((48, 64), 2.0), torch.eye(4)
     shown = drawn_in_part(lambda p: render(p, CAMERA, T_WC), cloud, Boxes(), CAMERA, T_WC, wall)
     assert torch.equal(shown.rgb, render(cloud[:n], CAMERA, T_WC).rgb)
+    assert shown.first_index is not None
     assert int(shown.first_index.max()) < n
