@@ -85,6 +85,7 @@ def test_no_cell_of_the_table_is_a_formula():
     assert rows[1][2:4] == ["1.5", "2"]
 
 
+@pytest.mark.ci  # one of them sleeps for 10 s
 def test_a_function_that_ends_its_process_or_sleeps_leaves_the_next_one_alone():
     of = {
         "psnr": "import os\ndef psnr(image, reference): os._exit(3)",

@@ -91,7 +91,7 @@ def test_a_frame_that_is_stopped_at_any_step_leaves_the_map_as_it_was(
     n_stops = 0
     for frame in frames:
         before = copy.deepcopy(mapper.state_dict())
-        for wanted_at in range(0, 200, 1 if system == "gps_slam" else 4):
+        for wanted_at in range(0, 200, 1 if system == "gps_slam" else 8):
             asked = iter(range(wanted_at))
             mapper.guard.stop_wanted = lambda asked=asked: next(asked, None) is None
             try:
