@@ -18,7 +18,7 @@ from ..config.values import named_values, parse_value, read_packaged
 from ..mapping import get_system
 from ..seeding import check_options
 from ..seeding.rule_code import is_rule_file, read_rule_file
-from . import disc_depth, roofline
+from . import roofline
 from .command import WhereOptions, run_and_write
 from .map_scene import Entry
 from .spec import Budget, RunResult, RunSpec
@@ -65,7 +65,7 @@ def _read_studies() -> Iterator[tuple[str, Study]]:
 
 
 STUDIES = dict(_read_studies())
-"""Name on the command line -> study. "disc-depth" (Fig. 7 of RTG-SLAM) and "roofline" have modules of their own."""
+"""Name on the command line -> study. "roofline" has a module of its own."""
 RULE, OPTION = "seeding.rule", "rule."
 """The setting whose values are rules, and the beginning of the names of a rule's options."""
 
@@ -109,16 +109,14 @@ class StudyOptions(RecordingOptions):
     """What to compare: systems (all three), transparent (with and without transparent Gaussians), states (optimising
     unstable or all Gaussians), fidelity (as measured, paper or released code), gsfusion-settings and rtg-slam-settings
     (one changed setting at a time), depth (disc or blended depth), tracking (variants of the tracker), rate (GPS-SLAM's
-    frames per second against its PSNR), colours (weights of the TSDF's colours, without Gaussians), disc-depth (depth
-    of single images), roofline (kernels and the limits of this machine), or an ablation of GSFusion's paper, beside its
-    numbers: table-iv (voxel size), table-v (quadtree threshold), table-vi (global optimisation), table-vii (random
-    keyframes), table-viii (keyframe threshold)."""
+    frames per second against its PSNR), colours (weights of the TSDF's colours, without Gaussians), roofline (kernels
+    and the limits of this machine), or an ablation of GSFusion's paper, beside its numbers: table-iv (voxel size),
+    table-v (quadtree threshold), table-vi (global optimisation), table-vii (random keyframes), table-viii (keyframe
+    threshold)."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     only: str = ""
     """Only the variants whose name contains this text, in capital or small letters: --only given. Default: all."""
-    views: int = 20
-    """Only for disc-depth: number of views to fit."""
     device: str = "cpu"
     """Only for roofline: the device to measure, cpu or cuda."""
 
@@ -142,13 +140,11 @@ def study(options: StudyOptions) -> int:
         KeyError: no such study. ValueError: ``only`` leaves nothing.
     """
     name = options.name
-    check_name("study", name, ("disc-depth", "roofline", *STUDIES))
+    check_name("study", name, ("roofline", *STUDIES))
     folder = _folder(options, f"study-{name}", options.data)
-    if name in ("disc-depth", "roofline"):
+    if name == "roofline":
         folder.mkdir(parents=True, exist_ok=True)
-        if name == "roofline":
-            return roofline.main(options.device, folder)
-        return disc_depth.main(options.data, folder, options.views)
+        return roofline.main(options.device, folder)
     asked = STUDIES[name]
     with use_backend(options.backend):
         specs = study_specs(name, options, options.data, options.only)

@@ -103,8 +103,9 @@ class ViewsConfig(Settings, group="views"):
     translation_m: float = within(0.3, 0)
     """Likewise when the camera's centre has moved by more than this, metres. Usual: 0.05 to 0.5."""
     every_frames: int = within(0, 0)
-    """Also keep every n-th mapped frame, from the first on; 0: only those that moved, as released. Smaller: more views
-    for the passes after the scan, more memory. Usual: 0, or 2 to 10."""
+    """Also keep every n-th mapped frame, from the first on, but none that shows only what an earlier keyframe shows; 0:
+    those that moved, as released, also where the camera was before. Smaller: more views for the passes after the scan,
+    more memory. Usual: 0, or 2 to 10."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,8 +32,6 @@ class GaussianModel(GrowingRows):
     _MOMENTS: tuple[str, ...] = ("exp_avg", "exp_avg_sq")
     _POSE_PREFIXES: tuple[str, ...] = ("",)
     """Prefixes of the columns that hold centres and orientations, which move when a loop is closed."""
-    TAG_MEANING = "quadtree level"
-    """Meaning of ``tag``."""
     rows: None = None
     """A model is all rows of its map (``gsfusion_nb.optim.PartOfMap`` has some)."""
 

@@ -44,7 +44,6 @@ class SurfelModel(GaussianModel):
     _COUNTS = (*GaussianModel._COUNTS, *_AT_LEAST_0)
     _MOMENTS = ()
     _POSE_PREFIXES = ("", "anchor.")
-    TAG_MEANING = "why the row was added"
 
     @property
     def state(self) -> Int[Tensor, " N"]:

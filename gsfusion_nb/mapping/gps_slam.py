@@ -26,6 +26,9 @@ from .tsdf_mapping import TsdfMapping
 LEAST_OPACITY = 0.005
 """Gaussians with a smaller opacity are removed (released code)."""
 
+SEEN_WITHIN_M, SEEN_WITHIN_DEG, LATEST = 0.1, 10.0, 10
+"""A frame shows nothing new if a keyframe was taken from a pose so near to its own, which is not one of the latest."""
+
 KEPT_BASES_BYTES = 256 << 20
 """Memory for the surfaces that the passes after the scan have seen; the others are looked at anew in each pass."""
 
@@ -76,7 +79,7 @@ class GPSSLAM(TsdfMapping):
             now = self._look(self._kept(frame)) if seeds_now or in_window or self.after_steps.edits else None
         with self.clock("seeding"):
             below, preview = None if now is None else now.below, FusedView(self.volume, frame, missing)
-            context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m, below=below)
+            context = self._context(frame, volume=preview, below=below)
             seeds = self.propose_seeds(context)
         with self.changes(undoable=self.views.steps_in(self.n_frames) > 0):
             if seeds_now and schedule.spread:
@@ -101,15 +104,29 @@ class GPSSLAM(TsdfMapping):
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
         below = self._look(Keyframe.of(frame.to(self.device))).below
-        return self._context(frame, volume=self.volume, near_m=self.config.tsdf.near_m, below=below)
+        return self._context(frame, volume=self.volume, below=below)
+
+    def _context(self, frame: Frame, **more: Any) -> SeedContext:
+        near_m, seen_before = self.config.tsdf.near_m, self._seen_before(frame)
+        return super()._context(frame, near_m=near_m, seen_before=seen_before, **more)
 
     def is_next_keyframe(self, frame: Frame) -> bool:
         """Whether the camera has turned or moved far enough since the last keyframe, or it is time for one."""
         views = self.config.views
-        if not len(self.keyframes) or (views.every_frames and self.n_frames % views.every_frames == 0):
+        if not len(self.keyframes):
             return True
+        if views.every_frames and self.n_frames % views.every_frames == 0:
+            return not self._seen_before(frame)
         turned_deg, moved_m = se3.motion(self.keyframes[len(self.keyframes) - 1].T_WC, frame.T_WC)
-        return turned_deg > views.rotation_deg or moved_m > views.translation_m
+        return (turned_deg > views.rotation_deg or moved_m > views.translation_m) and not self._seen_before(frame)
+
+    def _seen_before(self, frame: Frame) -> bool:
+        """Whether an earlier keyframe shows what the frame shows; as released, nobody asks."""
+        if not self.config.views.every_frames:
+            return False
+        moved = se3.inverse(frame.T_WC.cpu()) @ self.keyframes.T_WC[:-LATEST]
+        near = moved[:, :3, 3].norm(dim=1) <= SEEN_WITHIN_M
+        return bool((near & (se3.rotation_angle(moved[:, :3, :3]).rad2deg() <= SEEN_WITHIN_DEG)).any())
 
     def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""

@@ -21,7 +21,7 @@ from ..checks import shown
 from ..config import OptimConfig, SystemConfig, from_dict, to_dict
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose, take_missed_steps
-from ..render import Boxes, drawn_in_part, in_view, render
+from ..render import Boxes, drawn_in_part, render
 from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, move_memory, rule_name
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface
@@ -121,6 +121,8 @@ class Mapper(ABC):
         """Of the rows of ``gaussians``, to find those that a view may show."""
         self._last_part: tuple[Frame | Keyframe | None, PartOfMap | None] = None, None
         """View of the last step, and the rows that it changed."""
+        self._steps_missed = False
+        """Whether rows may have missed steps."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
         self.random = RandomStreams(self.config.seed)
         self.localiser = Localiser(self.config.tracking)
@@ -248,7 +250,8 @@ class Mapper(ABC):
         rows = self.boxes.rows(self.gaussians.params, view.camera, view.T_WC, depth_m)
         self.gaussians.will_change(rows)
         part = self.gaussians if rows is None else PartOfMap(self.gaussians, rows, self.boxes)
-        if self.training.optimiser is None and len(self.gaussians) >= in_view.WHOLE_BELOW:  # a GPU would be waited for
+        self._steps_missed |= rows is not None
+        if self.training.optimiser is None and self._steps_missed:  # else a GPU would be waited for in small maps
             take_missed_steps(part, optim)
         self._last_part = (view, part) if isinstance(part, PartOfMap) else (None, None)
         return part
@@ -455,6 +458,7 @@ class Mapper(ABC):
         self.n_frames, self.after_steps.taken = state["n_frames"], state["steps_taken"]
         self.random.load_state_dict(state["random"])
         self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
+        self._steps_missed = bool((self.gaussians.last_step < self.gaussians.step_count).any())
         self.keyframes = KeyframeList.from_state_dict(state["keyframes"], self.keyframes.device)
         self.passes.load_state_dict(state["passes"])
 

@@ -108,6 +108,7 @@ class KeyframeList:
         self.device = device
         self._items: list[Keyframe] = []
         self._bytes_kept = 0
+        self._poses = torch.zeros(0, 4, 4)
 
     def __len__(self) -> int:
         return len(self._items)
@@ -118,6 +119,13 @@ class KeyframeList:
     def __iter__(self) -> Iterator[Keyframe]:
         return iter(self._items)
 
+    @property
+    def T_WC(self) -> Float[Tensor, "K 4 4"]:
+        """Their camera-to-world poses, on the CPU."""
+        if len(self._poses) < len(self._items):  # keyframes were added, or all poses may have changed
+            self._poses = torch.cat([self._poses, *(k.T_WC.cpu()[None] for k in self._items[len(self._poses) :])])
+        return self._poses
+
     def append(self, frame: Frame, *, with_depth: bool = False) -> None:
         """Add ``frame`` as a keyframe, with its depth if ``with_depth``."""
         self._keep(Keyframe.of(frame, with_depth=with_depth))
@@ -125,17 +133,20 @@ class KeyframeList:
     def cut(self, count: int) -> None:
         """Keep only the first ``count`` keyframes."""
         del self._items[count:]
+        self._poses = self._poses[:count]
 
     def move(self, T: Float[Tensor, "K 4 4"]) -> None:
         """Apply a rigid motion to each keyframe's pose (a loop closure)."""
         self._items = [
             dataclasses.replace(k, T_WC=T_k.to(k.T_WC) @ k.T_WC) for k, T_k in zip(self._items, T, strict=True)
         ]
+        self._poses = self._poses[:0]
 
     def set_pose(self, index: int, T_WC: Float[Tensor, "4 4"]) -> None:
         """Give the keyframe of the frame with this index another pose."""
         at = self._place(index)
         self._items[at] = dataclasses.replace(self._items[at], T_WC=T_WC.to(self._items[at].T_WC))
+        self._poses = self._poses[:at]
 
     def set_gain(self, index: int, gain: Float[Tensor, " 3"]) -> None:
         """Give the keyframe of the frame with this index another exposure."""

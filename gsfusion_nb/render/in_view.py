@@ -27,7 +27,7 @@ from .constants import ALPHA_MIN, FRUSTUM_CLAMP, SCREEN_BLUR_PX2
 CHUNK = 256
 """Rows in a box."""
 
-WHOLE_BELOW = 50_000
+WHOLE_BELOW = 10_000
 """A map with fewer rows is drawn, and stepped, as a whole, as it is published."""
 
 MOSTLY_SEEN = 0.7

@@ -59,6 +59,8 @@ class SeedContext:
     dict, not a copy; it is saved in checkpoints."""
     starts_submap: bool = False
     """The first frame of the map, and the first of each submap if the rule has submaps (``seeding.submaps``)."""
+    seen_before: bool = False
+    """An earlier keyframe was taken from nearly the same pose, so the frame shows nothing new (GPS-SLAM)."""
     keyframes: tuple[Any, ...] = ()
     """The keyframes so far, oldest first. Each has ``index`` (of the frame in the source), ``rgb`` [H, W, 3] 0..1,
     ``rgb_u8``, ``camera``, ``T_WC``, and ``depth_m``, which is None if the mapper keeps no depth (GSFusion). They may

@@ -255,12 +255,13 @@ class BlockIndex:
             ValueError: a coordinate does not fit in a Morton code.
         """
         coords = coords.to(torch.int64)
-        if self.table is not None and coords.device.type == "cpu":  # most blocks exist; a GPU would be waited for here
+        by_table = self.table is not None and coords.device.type == "cpu"  # a GPU would be waited for here
+        if by_table:
             coords = coords[self.find(coords) < 0]
         if not len(coords):
             return NewBlocks(coords=coords, codes=coords.new_zeros(0), low=(0, 0, 0), high=(0, 0, 0))
         codes = interleave(coords)
-        present = _among(codes, self.codes)
+        present = torch.zeros_like(codes, dtype=torch.bool) if by_table else _among(codes, self.codes)
         codes, order = codes.masked_fill(present, -1).sort()  # those that exist come first, as -1
         counts = torch.stack([present.sum(), (codes.diff() == 0).sum()])
         *box, n, equal = torch.cat([*torch.aminmax(coords, dim=0), counts]).tolist()

@@ -26,6 +26,7 @@ from gsfusion_nb.types import Camera
 
 from ..runtime.arguments import IN_NODE, NODE_BITS, NODE_SHIFT, BlockTable, lens_of, parts, ray_slopes
 from ..runtime.numba.launch import launching, scratch
+from ..runtime.numba.scalars import sphere_around
 from ..runtime.numba.simd import (
     absolute,
     any_lane,
@@ -259,9 +260,15 @@ def look_up(blocks, T_CW, lens, sizes, size, tile_px, marked, spans, met):
     covers, depths = np.empty((B, 4), np.int32), np.empty((B, 2), np.float32)
     radius = 0.5 * sizes.block * np.sqrt(3.0) + 2 * sizes.voxel
     for task in prange((B + _CHUNK - 1) // _CHUNK):
-        for b in range(task * _CHUNK, min(B, task * _CHUNK + _CHUNK)):
+        first, last = task * _CHUNK, min(B, task * _CHUNK + _CHUNK)
+        centre, away = sphere_around(coords[first:last], sizes.block)
+        if not _meets_view(centre, T_CW, lens, size, radius + away):
+            met[first:last], covers[first:last, _U0], covers[first:last, _U1] = False, 0, -1
+            continue
+        for b in range(first, last):
             covers[b, _U0], covers[b, _U1] = 0, -1
-            met[b] = _meets_view(coords[b], T_CW, lens, sizes.block, size, radius)
+            x, y, z = coords[b, 0] + 0.5, coords[b, 1] + 0.5, coords[b, 2] + 0.5
+            met[b] = _meets_view((sizes.block * x, sizes.block * y, sizes.block * z), T_CW, lens, size, radius)
             if met[b]:
                 _project(coords[b], T_CW, lens, sizes.block, tile_px, (ny, nx), covers[b], depths[b])
     spans[:, :, NEAR_END], spans[:, :, FAR_END] = np.inf, _ZERO
@@ -311,11 +318,11 @@ def _mark(D, W, block, marked):
 
 
 @njit(cache=True, error_model="numpy")
-def _meets_view(block, T_CW, lens, side, size, radius):
-    """Whether the sphere around a block's centre meets the view."""
+def _meets_view(centre, T_CW, lens, size, radius):
+    """Whether a sphere meets the view."""
     height, width = size
     fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
-    X, Y, Z = (block[0] + 0.5) * side, (block[1] + 0.5) * side, (block[2] + 0.5) * side
+    X, Y, Z = centre
     z = T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3]
     if z < -radius:
         return False

@@ -13,6 +13,7 @@ from gsfusion_nb.config import (
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper
+from gsfusion_nb.mapping import gps_slam as gps_slam_module
 from gsfusion_nb.mapping.gps_views import ViewRound
 from gsfusion_nb.optim import fit_pose_by_flow
 from gsfusion_nb.render import base_view
@@ -92,6 +93,28 @@ def test_a_keyframe_is_more_than_30_cm_or_30_degrees_away(run):
     for moved, expected in (([0.299, 0, 0, 0, 0, 0], False), ([0, 0.301, 0, 0, 0, 0], True), ([0] * 5 + [0.53], True)):
         T_WC = frame.T_WC @ se3.exp(torch.tensor(moved, dtype=torch.float32))
         assert mapper.is_next_keyframe(dataclasses.replace(frame, T_WC=T_WC)) == expected
+
+
+def test_looking_again_adds_few_keyframes_and_few_gaussians(run, monkeypatch):
+    """The same walk back and forth: numbers after the first walk and at the end, and where nothing counts as seen."""
+    frames = list(run.sequence.mapping)[:24]
+    monkeypatch.setattr(gps_slam_module, "LATEST", 3)
+
+    def sizes() -> list[tuple[int, int]]:
+        mapper, found = make_mapper(run.mapper.config), []
+        for walk in (frames, frames[::-1], frames, frames[::-1]):
+            for frame in walk:
+                mapper.step(dataclasses.replace(frame, index=mapper.n_frames, timestamp_s=float(mapper.n_frames)))
+            found.append((len(mapper.keyframes), len(mapper.gaussians)))
+        return [found[0], found[-1]]
+
+    first, last = sizes()
+    monkeypatch.setattr(gps_slam_module, "SEEN_WITHIN_M", -1.0)
+    first_without, last_without = sizes()
+    assert first == first_without
+    assert (first[0], last_without[0]) == (12, 48)
+    assert last[0] < 2 * first[0]
+    assert last[1] - first[1] < 0.5 * (last_without[1] - first[1])
 
 
 def test_holes_are_filled_black_or_without_weight():

@@ -74,6 +74,16 @@ def test_a_loop_moves_each_pose_in_the_world(generator):
         torch.testing.assert_close(new.T_WC.double(), T_k @ old.T_WC.double(), atol=1e-6, rtol=1e-6)
         assert torch.equal(old.T_WC, torch.eye(4))
         assert new.rgb_u8 is old.rgb_u8
+    assert torch.equal(k.T_WC, torch.stack([keyframe.T_WC for keyframe in k]))
+
+
+def test_all_poses_follow_every_change(generator):
+    k = keyframes(3)
+    assert torch.equal(k.T_WC, torch.eye(4).expand(3, 4, 4))
+    T = se3.exp(torch.randn(6, generator=generator))
+    for change in (lambda: k.set_pose(k[1].index, T), lambda: k.append(frame(1)), lambda: k.cut(2)):
+        change()
+        assert torch.equal(k.T_WC, torch.stack([keyframe.T_WC for keyframe in k]))
 
 
 def test_images_are_kept_where_they_are_wanted():

@@ -32,7 +32,7 @@ from ...tsdf import TsdfVolume, integrate, raycast
 from ...types import Frame, GaussianParams
 from ...work import PeakMemory, ProgressDisplay
 from .scene import RandomScene, random_scene
-from .timing import Timing, describe, header, lap, measure, summary, threads
+from .timing import Lap, Timing, describe, header, lap, measure, summary, threads
 
 TIMED_BACKENDS = ("reference", "numba", "cuda")
 """Those with a rasteriser and TSDF integration."""
@@ -48,7 +48,7 @@ class BenchOptions:
 
     what: Annotated[str, tyro.conf.Positional] = "all"
     """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), all of these, or growth (the
-    three systems in a building of 16 rooms, some minutes)."""
+    three systems in a building of 64 rooms, half an hour)."""
     data: str = "room"
     """Folder of the sequence used by tsdf and map, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
@@ -303,7 +303,7 @@ def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[B
         yield BenchRow(section="map", case=f"{case} / {name}", method=method, timing=each, note=share)
 
 
-ROOMS, ROOM_SIZE, ROOM_FRAMES = 16, (160, 120), 20
+ROOMS, ROOM_SIZE, ROOM_FRAMES = 64, (160, 120), 20
 """Rooms of the building of ``growth``; size and number of the images of each."""
 ROOM_DISTANCE_M, ROOM_TIME_S = 10.0, 60.0
 _GROWTH_VOXEL_M = 0.04
@@ -312,29 +312,33 @@ _GROWTH_VOXEL_M = 0.04
 def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
     """A square building of equal rooms through which the camera walks, room by room: the mean time of a frame in each.
 
-    The last note of a system has the exponent b of  time = a rooms^b  by least squares, without the first room, in
-    which kernels are loaded. It is 0 if the size of the map does not matter.
+    Rooms 1, 2, 4, 8 and so on have a row. The last note of a system has the exponent b of  time = a rooms^b  by least
+    squares over all rooms. It is 0 if the size of the map does not matter.
     """
-    n_rooms, n_frames = (3, 3) if options.quick else (ROOMS, ROOM_FRAMES)
+    n_rooms, n_frames = (4, 3) if options.quick else (ROOMS, ROOM_FRAMES)
     size, side = options.sizes[0] if options.size else ROOM_SIZE, math.ceil(math.sqrt(n_rooms))
     opened = open_frames(dataclasses.replace(options, frames=options.frames or n_frames), size, walk=0)
-    frames = [opened[i] for i in range(len(opened))]
+    frames, case = [opened[i] for i in range(len(opened))], f"{_case_name(opened)}, room"
     for name, system in SYSTEMS.items():
-        config, times_ms = system.preset("room"), list[float]()
-        mapper = system(replace(config, tsdf__voxel_size_m=_GROWTH_VOXEL_M) if hasattr(config, "tsdf") else config)
-        for room in range(n_rooms):
-            took = lap(lambda m=mapper, r=room: [m.step(_in_room(frame, r, side)) for frame in frames])
-            wall_ms, cpu_ms = (1e3 * seconds / len(frames) for seconds in (took.wall_s, took.cpu_s))
-            times_ms.append(wall_ms)
-            n, note = len(mapper.gaussians), f"{len(mapper.gaussians) / 1e3:.1f}k"
-            if room == n_rooms - 1:
-                b = np.polyfit(np.log(np.arange(2, n_rooms + 1)), np.log(times_ms[1:]), 1)[0]
-                note += f", exponent {b:.2f}"
-            timing = Timing(wall_ms=wall_ms, cpu_ms=cpu_ms, runs=len(frames), peak_mb=None)
-            case = f"{_case_name(opened)}, room {room + 1}"
-            yield BenchRow(
-                section="growth", case=case, method=name, timing=timing, note=note, values={"n_gaussians": n}
-            )
+        config, laps = system.preset("room"), list[Lap]()
+        config = replace(config, tsdf__voxel_size_m=_GROWTH_VOXEL_M) if hasattr(config, "tsdf") else config
+        warm, mapper = system(config), system(config)
+        for frame in frames:
+            warm.step(frame)  # loads kernels
+        with PeakMemory() as memory:
+            for room in range(n_rooms):
+                took = lap(lambda m=mapper, r=room: [m.step(_in_room(frame, r, side)) for frame in frames])
+                laps.append(Lap(took.wall_s / len(frames), took.cpu_s / len(frames)))
+                if room + 1 < n_rooms and (room + 1) & room == 0:
+                    yield _growth_row(f"{case} {room + 1}", name, len(mapper.gaussians), summary(laps[-1:]))
+        b = np.polyfit(np.log(np.arange(1, n_rooms + 1)), np.log([x.cpu_s for x in laps]), 1)[0]
+        timing, note = summary(laps[-1:], memory.peak_mb), f", exponent {b:.2f}"
+        yield _growth_row(f"{case} {n_rooms}", name, len(mapper.gaussians), timing, note)
+
+
+def _growth_row(case: str, name: str, n: int, timing: Timing, note: str = "") -> BenchRow:
+    note, values = f"{n / 1e3:.1f}k{note}", {"n_gaussians": n}
+    return BenchRow(section="growth", case=case, method=name, timing=timing, note=note, values=values)
 
 
 def _in_room(frame: Frame, room: int, side: int) -> Frame:

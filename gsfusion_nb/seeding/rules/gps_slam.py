@@ -16,6 +16,8 @@ from ..sampling import as_discs, sized_by_neighbours
 
 MAX_DEPTH_M = 5.0
 THICKNESS = 0.1
+ERROR_SEEN_BEFORE = 3.0
+"""Where the map had its chance, in a view that was seen before, the error must be so many times as large."""
 
 
 @seeding_rule
@@ -53,7 +55,8 @@ class gps_slam(MapRule):
 
     Left out: removal of discs that are small (3 mm), large (10 cm) or transparent (0.005), which the system does. In
     the system gps_slam normals come from differences of the surface's points, as in the release, but of those beside
-    the pixel instead of Sobel's 3x3; in the other systems from the TSDF's gradient, with ``surface`` "tsdf".
+    the pixel instead of Sobel's 3x3; in the other systems from the TSDF's gradient, with ``surface`` "tsdf". A view
+    that an earlier keyframe shows (``SeedContext.seen_before``) needs three times the error, which is not released.
     Source: Peng et al. 2025 (GPS-SLAM) and its released code.
     """
 
@@ -104,7 +107,8 @@ class gps_slam(MapRule):
             return depth_m, self._error(ctx) > self.colour_error, normal_W
         picture, below = ctx.over_base(), ctx.below
         error = (picture.rgb - ctx.frame.rgb).abs().mean(dim=-1)
-        chosen = (error > self.colour_error) & (picture.weight < self.max_weight)
+        least = self.colour_error * (ERROR_SEEN_BEFORE if ctx.seen_before else 1.0)
+        chosen = (error > least) & (picture.weight < self.max_weight)
         depth_m = ctx.frame.depth_m if self.surface == "depth" else below.base.depth_m
         if self.in_holes and bool((below.base.depth_m > 0).any()):  # not while there is no surface at all
             there = torch.where(ctx.has_depth(), ctx.frame.depth_m, below.depth_everywhere_m)

@@ -74,3 +74,15 @@ def turn_about_camera(T, xi):
     T[0, 3] += x + B * p + C * (b * r - c * q)
     T[1, 3] += y + B * q + C * (c * p - a * r)
     T[2, 3] += z + B * r + C * (a * q - b * p)
+
+
+@njit(cache=True, error_model="numpy")
+def sphere_around(coords, side):
+    """Centre and radius of a sphere around the centres of some blocks; slightly larger, for rounding."""
+    low, high = coords[0].copy(), coords[0].copy()
+    for b in range(1, len(coords)):
+        for k in range(3):
+            low[k], high[k] = min(low[k], coords[b, k]), max(high[k], coords[b, k])
+    x, y, z = 0.5 * side * (high[0] - low[0]), 0.5 * side * (high[1] - low[1]), 0.5 * side * (high[2] - low[2])
+    centre = (side * (low[0] + 0.5) + x, side * (low[1] + 0.5) + y, side * (low[2] + 0.5) + z)
+    return centre, 1.001 * np.sqrt(x * x + y * y + z * z) + 0.001 * side

@@ -2,9 +2,9 @@
 
 import pytest
 
-from gsfusion_nb.compare.disc_depth import METHODS, fit_image, table_of
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import open_sequence
+from gsfusion_nb.mapping.surfel_optimiser import fit_image
 
 
 @pytest.fixture(scope="module")
@@ -16,11 +16,6 @@ def test_disc_depth_needs_fewer_gaussians_for_the_same_median_depth_error(frame)
     few = fit_image(frame, 1000, "disc", steps=60)
     many = fit_image(frame, 2000, "blended", steps=60)
     assert few["median depth error, cm"] < many["median depth error, cm"]
-
-
-def test_table(frame):
-    lines = table_of([frame], counts=(60, 120), steps=3).splitlines()
-    assert [line.split(" |")[0] for line in lines[2:]] == ["| 60"] * len(METHODS) + ["| 120"] * len(METHODS)
 
 
 def test_unknown_method_is_refused(frame):
