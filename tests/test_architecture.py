@@ -128,9 +128,9 @@ def toy_operation(x):
 SYSTEM_CONFIG = '''
 """Settings of a toy system."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from .parts import SystemConfig
+from .parts import SystemConfig, TsdfConfig
 from .values import replace
 
 
@@ -138,6 +138,7 @@ from .values import replace
 class ToyConfig(SystemConfig):
     """All settings."""
 
+    tsdf: TsdfConfig = field(default_factory=lambda: TsdfConfig(voxel_size_m=0.1))
     steps: int = 2
     """Optimisation steps per frame. Larger: better pictures. Usual: 1 to 5."""
 
@@ -152,45 +153,36 @@ SYSTEM = '''
 
 from torch import Tensor
 
-from ..config import OptimConfig, TsdfConfig
+from ..config import OptimConfig
 from ..config.toy_system import ToyConfig, toy_system
 from ..optim import adam_step, l1_mse_vjp
 from ..render import render_forward, render_vjp
-from ..tsdf import TsdfVolume, extract_mesh, integrate, raycast
-from .mapper import Mapper
+from ..tsdf import integrate
 from .step import StepReport
+from .tsdf_mapping import TsdfMapping
 
 
-class ToySystem(Mapper):
+class ToySystem(TsdfMapping):
     """The mapper."""
 
     title = "Toy system"
     config_type = ToyConfig
     preset = toy_system
 
-    def __init__(self, config=None, *, seeding=None, device="cpu"):
-        super().__init__(config, seeding=seeding, device=device)
-        self.volume = TsdfVolume(TsdfConfig(voxel_size_m=0.1), device=self.device)
-
     @property
     def n_passes(self) -> int:
         return 1
 
     def map_frame(self, frame) -> StepReport:
-        integrate(self.volume, frame)
         seeds = self.propose_seeds(self._context(frame, volume=self.volume, near_m=0.1))
         with self.changes():
             self.gaussians.append(seeds, frame.index)
             self.keyframes.append(frame)
             with self.clock("optimise"):
                 losses = tuple(float(self._optimise(frame)) for _ in range(self.config.steps))
+        with self.clock("tsdf"):
+            integrate(self.volume, frame)
         return self._report(frame, seeds, True, losses=losses)
-
-    def surface(self, camera, T_WC):
-        return raycast(self.volume, camera, T_WC)
-
-    def mesh(self):
-        return extract_mesh(self.volume)
 
     def _global_step(self, i: int) -> Tensor:
         return self._optimise(self.keyframes[i])
@@ -312,6 +304,8 @@ assert by_backend == [[0, 2, 4]] * 2 and backends.load("toy_operation", "numba")
 
 config = toy_system(seeding__rule="toy_rule", data__hold_out_every=0)
 run = run_mapping(data, config, folder="toy_run")
+state = run.mapper.state_dict()
+assert run.mapper.from_state_dict(state).volume.n_blocks == run.mapper.volume.n_blocks > 0
 assert run.metrics["psnr_mapped_db"] > 0 and (run.folder / "gaussians.ply").is_file(), run.metrics
 assert (run.folder / "report.html").is_file() and (run.folder / "mesh.ply").is_file()
 

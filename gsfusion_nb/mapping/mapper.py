@@ -60,7 +60,8 @@ class Mapper(ABC):
         ValueError: the rule brings a setting that the system does not have.
 
     A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``map_frame``, ``surface``, ``mesh`` and
-    ``_global_step``. It overrides the rest where the default does not fit.
+    ``_global_step``. It overrides the rest where the default does not fit: ``state_dict`` and ``_load`` if it has state
+    of its own, which ``TsdfMapping`` does for a TSDF.
     """
 
     title: ClassVar[str]

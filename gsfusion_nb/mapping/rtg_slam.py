@@ -86,7 +86,7 @@ class RTGSLAM(Mapper):
         with self.clock("seeding"):
             context = self.seed_context(frame)
             before = _psnr_db(context.surface().rgb, frame) if len(self.gaussians) else math.nan
-            seeds = self.propose_seeds(context)  # Eq. 6
+            seeds = self.propose_seeds(context)  # RTG-SLAM Eq. 6
         is_keyframe = self.is_next_keyframe(frame)
         window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0
         with self.changes(undoable=window_is_due or keyframes_are_due):
@@ -94,7 +94,7 @@ class RTGSLAM(Mapper):
                 self.gaussians.append(seeds, frame.index)
             self._begin(context, is_keyframe, window_is_due, keyframes_are_due)
             with self.clock("optimise"):
-                losses = self._optimise_window() if window_is_due else []  # Eq. 7-9
+                losses = self._optimise_window() if window_is_due else []  # RTG-SLAM Eq. 7-9
             with self.clock("keyframes"):
                 n_steps = self._optimise_keyframes() if keyframes_are_due else 0
             self.guard.may_stop()
@@ -159,7 +159,7 @@ class RTGSLAM(Mapper):
         now = was + optimiser.steps_seen
         fused = fuse_with_history(
             before, optimiser.trained, was, now, history_max_weight=config.history_max_weight
-        )  # Eq. 9
+        )  # RTG-SLAM Eq. 9
         optimiser.write_back(fused)
         model.confidence[optimiser.rows] = now
         self._edit(optimiser, self.window, last)

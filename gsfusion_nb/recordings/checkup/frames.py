@@ -172,7 +172,7 @@ def jump_finding(over: OverFrames, length: int) -> tuple[DataConfig, Finding]:
     turned, moved = (float(np.nanmax(x, initial=0.0)) for x in (over.turned_deg, over.moved_m))
     extent = f"steps of at most {turned:.1f} degrees and {100 * moved:.1f} cm"
     if not alone and not cuts:
-        return DataConfig(), Finding("pose jumps", "ok", f"The path is continuous: {extent}.")
+        return DataConfig(), Finding("pose jumps", "ok", f"No frame is off the path of its neighbours: {extent}.")
     piece = DataConfig(repair=RepairConfig(skip=tuple(alone)))
     if cuts:  # the longest piece between cuts, which lie after their frames
         ends = [0, *(c + 1 for c in cuts), length]
