@@ -48,7 +48,7 @@ class BenchOptions:
 
     what: Annotated[str, tyro.conf.Positional] = "all"
     """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), all of these, or growth (the
-    three systems in a building of 64 rooms, half an hour)."""
+    three systems in a building of 64 rooms, a quarter of an hour)."""
     data: str = "room"
     """Folder of the sequence used by tsdf and map, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
