@@ -8,9 +8,10 @@ from gsfusion_nb.config import rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping.surfel_optimiser import fit_image
 
-data, views = (sys.argv[1:] + ["room", "20"][len(sys.argv) - 1 :])[:2]
+data = sys.argv[1] if len(sys.argv) > 1 else "room"
+views = int(sys.argv[2]) if len(sys.argv) > 2 else 20
 sequence = open_sequence(data, data=dataclasses.replace(rtg_slam("room").data, hold_out_every=0))
-frames = [sequence[round(i * (len(sequence) - 1) / max(int(views) - 1, 1))] for i in range(int(views))]
+frames = [sequence[round(i * (len(sequence) - 1) / max(views - 1, 1))] for i in range(views)]
 for n in (500, 1000, 2000, 4000, 8000):
     for method in ("disc", "blended", "round"):
         rows = [fit_image(frame, n, method) for frame in frames]

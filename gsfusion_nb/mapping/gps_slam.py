@@ -107,26 +107,26 @@ class GPSSLAM(TsdfMapping):
         return self._context(frame, volume=self.volume, below=below)
 
     def _context(self, frame: Frame, **more: Any) -> SeedContext:
-        near_m, seen_before = self.config.tsdf.near_m, self._seen_before(frame)
-        return super()._context(frame, near_m=near_m, seen_before=seen_before, **more)
+        return super()._context(frame, near_m=self.config.tsdf.near_m, seen_before=self._seen_before(frame), **more)
 
     def is_next_keyframe(self, frame: Frame) -> bool:
         """Whether the camera has turned or moved far enough since the last keyframe, or it is time for one."""
         views = self.config.views
         if not len(self.keyframes):
             return True
-        if views.every_frames and self.n_frames % views.every_frames == 0:
-            return not self._seen_before(frame)
-        turned_deg, moved_m = se3.motion(self.keyframes[len(self.keyframes) - 1].T_WC, frame.T_WC)
-        return (turned_deg > views.rotation_deg or moved_m > views.translation_m) and not self._seen_before(frame)
+        due = views.every_frames and self.n_frames % views.every_frames == 0
+        if not due:
+            turned_deg, moved_m = se3.motion(self.keyframes[len(self.keyframes) - 1].T_WC, frame.T_WC)
+            due = turned_deg > views.rotation_deg or moved_m > views.translation_m
+        return bool(due) and not self._seen_before(frame)
 
     def _seen_before(self, frame: Frame) -> bool:
         """Whether an earlier keyframe shows what the frame shows; as released, nobody asks."""
         if not self.config.views.every_frames:
             return False
-        moved = se3.inverse(frame.T_WC.cpu()) @ self.keyframes.T_WC[:-LATEST]
-        near = moved[:, :3, 3].norm(dim=1) <= SEEN_WITHIN_M
-        return bool((near & (se3.rotation_angle(moved[:, :3, :3]).rad2deg() <= SEEN_WITHIN_DEG)).any())
+        T_WC, earlier = frame.T_WC.cpu(), self.keyframes.T_WC[:-LATEST]
+        near = earlier[(earlier[:, :3, 3] - T_WC[:3, 3]).norm(dim=1) <= SEEN_WITHIN_M]
+        return bool((se3.rotation_angle(near[:, :3, :3].mT @ T_WC[:3, :3]).rad2deg() <= SEEN_WITHIN_DEG).any())
 
     def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
