@@ -1,10 +1,14 @@
-"""Long work: its progress, and how much memory is left."""
+"""Long work: its progress, how much memory is left, and a map that is larger than memory."""
 
 import contextlib
 import ctypes
 import gc
+import math
+import mmap
 import os
 import sys
+import tempfile
+import weakref
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
@@ -16,9 +20,6 @@ T = TypeVar("T")
 
 EVERY_S = 10.0
 """Time between two lines of a log, seconds; shorter work writes none."""
-
-GROWTH = {"cpu": 2.0, "cuda": 1.25}
-"""A map that is full grows by this factor. Untouched memory is free on a CPU; on a GPU it is taken from the rest."""
 
 
 class ProgressDisplay:
@@ -111,6 +112,126 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
+_IMAGES_BYTES, _ALIGNED_BYTES = 1 << 26, 64
+
+
+class _File:
+    """A temporary file of zeros, which is gone when nothing uses it. ``/tmp`` is often in memory."""
+
+    def __init__(self) -> None:
+        self._folder = "/var/tmp" if "TMPDIR" not in os.environ and os.path.isdir("/var/tmp") else None
+        with tempfile.TemporaryFile(dir=self._folder, prefix="gsfusion-map-") as file:
+            self._handle = os.dup(file.fileno())
+        weakref.finalize(self, os.close, self._handle)
+
+    def mapped(self, n_bytes: int) -> mmap.mmap:
+        """The file in memory, made as long as that; earlier maps of it show the same values."""
+        try:
+            os.truncate(self._handle, n_bytes)
+            if hasattr(os, "posix_fallocate"):  # else a full disk would kill the process at the first write
+                os.posix_fallocate(self._handle, 0, n_bytes)
+        except OSError as e:
+            raise MemoryError(
+                f"no {n_bytes / 1e6:.0f} MB for a part of the map in {self._folder or tempfile.gettempdir()}: {e}"
+            ) from e
+        return mmap.mmap(self._handle, n_bytes)
+
+
+class MapMemory:
+    """Where the tensors of a map are: in memory, or on a processor in temporary files that are mapped into memory.
+
+    Files hold what memory does not: ``give_back`` leaves their pages to the system, which reads them again when they
+    are used, so the map has the same bits. Use ``MAP_MEMORY``, the only one.
+    """
+
+    def __init__(self) -> None:
+        self.limit_bytes: int | None = None
+        """Memory of this process above which pages are given back; None: no files are used."""
+        self._files: dict[int, tuple[weakref.ref[mmap.mmap], _File]] = {}
+        """Place in memory -> the file that is mapped there."""
+        self._images: torch.Tensor | None = None
+        """The last file of images, and how many bytes of it are used."""
+        self._used = 0
+        self._next_bytes = 0
+
+    def limit(self, gb: float | None) -> None:
+        """Set the limit, GB, for tensors that are made from now on; None: no limit.
+
+        Raises:
+            ValueError: ``gb`` is not above 0, or this system cannot give pages back.
+        """
+        if gb is not None and not (gb > 0 and hasattr(mmap, "MADV_DONTNEED")):
+            raise ValueError(f"the limit of memory must be above 0 GB and the system not Windows, got {gb} GB")
+        self.limit_bytes, self._next_bytes = None if gb is None else int(gb * 1e9), int((gb or 0) * 1e9)
+
+    def is_in_files(self, device: "torch.device") -> bool:
+        """Whether new tensors on this device are in files."""
+        return self.limit_bytes is not None and device.type == "cpu"
+
+    def rows(self, *shape: int, dtype: "torch.dtype | None" = None, device: "torch.device") -> "torch.Tensor":
+        """A tensor of zeros, for rows of which on a processor those that are not used need no memory.
+
+        Raises:
+            MemoryError: the disk has no space for its file.
+        """
+        import numpy as np
+        import torch
+
+        if device.type != "cpu":
+            return torch.zeros(*shape, dtype=dtype, device=device)
+        like = torch.empty(0, dtype=dtype)
+        if not self.is_in_files(device) or 0 in shape:  # torch.zeros would write all pages
+            return torch.from_numpy(np.zeros(shape, like.numpy().dtype))
+        return self._mapped(_File(), math.prod(shape), like.dtype).view(shape)
+
+    def grown(self, old: "torch.Tensor", n: int) -> "torch.Tensor":
+        """The rows of a tensor made by ``rows``, and more up to ``n``, which are zero; in a file nothing is copied.
+
+        Raises:
+            MemoryError: as for ``rows``; ``old`` is unchanged.
+        """
+
+        if old.data_ptr() not in self._files:
+            new = self.rows(n, *old.shape[1:], dtype=old.dtype, device=old.device)
+            new[: len(old)] = old
+            return new
+        _, file = self._files[old.data_ptr()]
+        return self._mapped(file, n * math.prod(old.shape[1:]), old.dtype).view(n, *old.shape[1:])
+
+    def in_file(self, image: "torch.Tensor") -> "torch.Tensor":
+        """The same values in a file that many images share, whether there is a limit or not."""
+        import torch
+
+        if self._images is None or self._used + image.nbytes > len(self._images):
+            self._images, self._used = self._mapped(_File(), max(image.nbytes, _IMAGES_BYTES), torch.uint8), 0
+        place = self._images[self._used : self._used + image.nbytes]
+        self._used += -(-image.nbytes // _ALIGNED_BYTES) * _ALIGNED_BYTES
+        return place.view(image.dtype).view(image.shape).copy_(image)
+
+    def _mapped(self, file: _File, n: int, dtype: "torch.dtype") -> "torch.Tensor":
+        import torch
+
+        mapped = file.mapped(n * dtype.itemsize)
+        values = torch.frombuffer(mapped, dtype=dtype)
+        self._files[values.data_ptr()] = weakref.ref(mapped), file
+        weakref.finalize(mapped, self._files.pop, values.data_ptr(), None)
+        return values
+
+    def give_back(self) -> None:
+        """Leave the pages of all files to the system if this process has more memory than the limit."""
+        if self.limit_bytes is None or _resident_bytes("VmRSS") <= self._next_bytes:
+            return
+        for mapped, _ in self._files.values():
+            if (file := mapped()) is not None:
+                file.madvise(mmap.MADV_DONTNEED)
+        return_free_memory()
+        self._next_bytes = max(self.limit_bytes, _resident_bytes("VmRSS") + self.limit_bytes // 8)
+
+
+MAP_MEMORY = MapMemory()
+"""Of this process."""
+
+
 def available_memory(device: "torch.device") -> int | None:
     """Bytes that can still be allocated on ``device``; None where the system does not report it."""
     if device.type == "cuda":
@@ -147,7 +268,7 @@ class PeakMemory:
             torch.cuda.reset_peak_memory_stats()
             self._before = torch.cuda.memory_allocated()
             return self
-        _return_free_memory()
+        return_free_memory()
         self._before = _resident_bytes("VmRSS") if _reset_peak() else -1
         return self
 
@@ -175,8 +296,8 @@ def _reset_peak() -> bool:
     return True
 
 
-def _return_free_memory() -> None:
-    """Return freed memory to the system; otherwise work that reuses it would seem to need none."""
+def return_free_memory() -> None:
+    """Return freed memory to the system, also between what is in use."""
     with contextlib.suppress(OSError, AttributeError):  # only glibc has it
         ctypes.CDLL("libc.so.6").malloc_trim(0)
 

@@ -7,12 +7,13 @@ import tyro
 
 from ..backends import use_backend
 from ..seeding.rule_code import is_rule_file
+from ..work import MAP_MEMORY
 from .result import print_result
 from .settings import SettingsOptions, parse, reader_options
 
 _WITH_RESUME = (
     "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
-    "--checkpoint-every-frames",
+    "--checkpoint-every-frames", "--memory-gb",
 )  # fmt: skip
 
 
@@ -32,7 +33,7 @@ class MapOptions(SettingsOptions):
     or replica."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), split=train
-    (ScanNet++), poses=false (folder, TUM), n_frames=480 (room)."""
+    (ScanNet++), poses=false (folder, TUM), n_frames=480 or rooms=64 (room)."""
     from_gaussians: str = ""
     """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the recording's poses; they
     are optimised with the new ones. GSFusion only."""
@@ -45,6 +46,9 @@ class MapOptions(SettingsOptions):
     often if saving takes more than 3 % of the time. 0: only when the run is interrupted."""
     checkpoint_every_frames: int = 0
     """Also save after every n-th frame. 0: no."""
+    memory_gb: float = 0.0
+    """Keep the map in temporary files, and what is far from the camera out of memory, so that the process needs about
+    this many GB; the map is the same. On a processor only. 0: keep it in memory."""
 
 
 def run(arguments: list[str]) -> int:
@@ -57,6 +61,7 @@ def run(arguments: list[str]) -> int:
     from ..runs import CheckpointEvery, resume_mapping, run_mapping
 
     every = CheckpointEvery(seconds=options.checkpoint_every_s, frames=options.checkpoint_every_frames)
+    MAP_MEMORY.limit(options.memory_gb or None)
     with use_backend(options.backend):
         options.check_device()
         if options.resume:

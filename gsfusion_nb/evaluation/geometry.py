@@ -5,7 +5,7 @@ would hide a systematic shift. Distances are stored in metres and printed in cen
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -13,7 +13,9 @@ from torch import Tensor
 
 from ..checks import check_finite, check_positive, check_shape
 from ..geometry import project, quaternion, se3
-from ..types import Camera, Frame, GaussianParams, Mesh
+from ..render.in_view import Chunks, chunks_in_view, chunks_of_points, rows_of_chunks
+from ..types import Frame, GaussianParams, Mesh
+from ..work import MAP_MEMORY
 from .image import psnr
 from .metrics import NotComputed
 
@@ -24,6 +26,8 @@ SAMPLES_PER_M2 = 10_000
 """One point per cm^2, as GSFusion's released evaluation draws on the mesh."""
 BEHIND_M = 0.05
 """How far behind the measured depth a point still counts as seen, metres."""
+FACES_AT_A_TIME, SAMPLES_AT_A_TIME = 1 << 20, 1 << 22
+"""Limit the memory for intermediate results."""
 NEAR_M = 0.02
 """A view shows a vertex if its measured depth there differs by less than this, metres."""
 
@@ -39,13 +43,12 @@ def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> tuple[Floa
 
     Differentiable: no.
     """
-    corners = _corners(mesh)
-    upto = _areas(corners).cumsum(0)
+    upto = _areas(mesh).cumsum(0)
     if len(upto) == 0 or not upto[-1] > 0:
         raise ValueError(f"a mesh to sample must have area, got {len(upto)} faces of total area 0")
     face, draw = _drawn_by_area(upto, n, generator)
     r, s = draw[:, 1:2].sqrt(), draw[:, 2:3]
-    a, b, c = corners[face].unbind(1)
+    a, b, c = _corners(mesh, face).unbind(1)
     return (1 - r) * a + r * ((1 - s) * b + s * c), face
 
 
@@ -156,10 +159,13 @@ def centres_to_own_mesh(
         return NotComputed("the map has no Gaussian")
     if lost := int((~params.xyz_W.isfinite().all(1)).sum()):
         return NotComputed(f"the centres of {lost} Gaussians are not finite")
-    n = int(_areas(_corners(mesh)).sum() * SAMPLES_PER_M2)
+    n = int(_areas(mesh).sum() * SAMPLES_PER_M2)
     if n == 0:
         return NotComputed("the run's mesh is smaller than 1 cm^2")
-    distance = _to_nearest(params.xyz_W.double(), sample_surface(mesh, n, generator)[0])
+    xyz, distance = params.xyz_W.double(), torch.full((len(params),), math.inf, dtype=torch.float64)
+    for start in range(0, n, SAMPLES_AT_A_TIME):
+        samples = sample_surface(mesh, min(SAMPLES_AT_A_TIME, n - start), generator)[0]
+        distance = torch.minimum(distance, _to_nearest(xyz, samples))
     return float(distance.mean()), float(distance.square().mean())
 
 
@@ -178,13 +184,12 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame]) -> float | NotComputed:
 
     Differentiable: no.
     """
-    scores = []
+    scores, chunks = [], chunks_of_points(mesh.vertices_W)
     for frame in frames:
         frame = frame.to(mesh.vertices_W.device)
-        xyz_C = se3.apply(se3.inverse(frame.T_WC.to(mesh.vertices_W)), mesh.vertices_W)
-        rows, at = _in_view(xyz_C, frame.camera)
+        rows, z_m, at = _in_view(mesh.vertices_W, chunks, frame)
         depth_m = frame.depth_m[at]
-        near = (depth_m > 0) & ((depth_m - xyz_C[rows, 2]).abs() < NEAR_M)
+        near = (depth_m > 0) & ((depth_m - z_m).abs() < NEAR_M)
         if bool(near.any()):
             scores.append(psnr(mesh.rgb[rows[near]][None], frame.rgb[at][near][None]))
     if not scores:
@@ -192,13 +197,19 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame]) -> float | NotComputed:
     return math.fsum(scores) / len(scores)
 
 
-def _in_view(xyz_C: Float[Tensor, "N 3"], camera: Camera) -> tuple[Int[Tensor, " M"], tuple[Tensor, Tensor]]:
-    """Which points of a camera's frame are inside its image, and row and column of their pixels."""
-    rows = (xyz_C[:, 2] > 1e-6).nonzero()[:, 0]
-    uv = project(camera, xyz_C[rows])
+def _in_view(
+    xyz_W: Float[Tensor, "N 3"], chunks: Chunks, frame: Frame
+) -> tuple[Int[Tensor, " M"], Float[Tensor, " M"], tuple[Tensor, Tensor]]:
+    """Which points are inside the image of a frame, their depths, and row and column of their pixels."""
+    T_CW, camera = se3.inverse(frame.T_WC.to(xyz_W)), frame.camera
+    seen = chunks_in_view(chunks, camera, T_CW.double().cpu().numpy())
+    rows = rows_of_chunks(seen.nonzero()[0], len(xyz_W)).to(xyz_W.device)
+    xyz_C = se3.apply(T_CW, xyz_W[rows])
+    in_front = (xyz_C[:, 2] > 1e-6).nonzero()[:, 0]
+    uv = project(camera, xyz_C[in_front])
     inside = ((uv >= 0) & (uv < torch.tensor([camera.width, camera.height], device=uv.device))).all(dim=1)
     column, row = uv[inside].long().unbind(1)
-    return rows[inside], (row, column)
+    return rows[in_front[inside]], xyz_C[in_front[inside], 2], (row, column)
 
 
 def seen_by(xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame]) -> Bool[Tensor, " N"]:
@@ -212,15 +223,12 @@ def seen_by(xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame]) -> Bool[Tensor
 
     Differentiable: no.
     """
-    seen = torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
+    seen, chunks = torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device), chunks_of_points(xyz_W)
     for frame in frames:
-        left = (~seen).nonzero().squeeze(1)
-        if len(left) == 0:
-            break
-        xyz_C = se3.apply(se3.inverse(frame.T_WC.to(xyz_W)), xyz_W[left])
-        rows, at = _in_view(xyz_C, frame.camera)
+        rows, z_m, at = _in_view(xyz_W, chunks, frame)
         measured = frame.depth_m.to(xyz_W)[at]
-        seen[left[rows[(measured > 0) & (xyz_C[rows, 2] <= measured + BEHIND_M)]]] = True
+        seen[rows[(measured > 0) & (z_m <= measured + BEHIND_M)]] = True
+        MAP_MEMORY.give_back()
     return seen
 
 
@@ -229,8 +237,7 @@ def cull_unseen(mesh: Mesh, frames: Iterable[Frame]) -> Mesh:
 
     For meshes of small triangles; a wall of two triangles is kept completely if one of its corners is seen.
     """
-    n = len(mesh.vertices_W)
-    centroids = _corners(mesh).mean(1).to(mesh.vertices_W)
+    n, centroids = len(mesh.vertices_W), _of_faces(mesh, lambda corners: corners.mean(1).to(mesh.vertices_W))
     seen = seen_by(torch.cat([mesh.vertices_W, centroids]), frames)
     faces = mesh.faces[seen[:n][mesh.faces.long()].any(1) | seen[n:]]
     used, renumbered = torch.unique(faces, return_inverse=True)
@@ -259,14 +266,20 @@ def point_triangle_distance(xyz: Float[Tensor, "*N 3"], triangle: Float[Tensor, 
     return torch.where(inside, height, squared.sqrt())
 
 
-def _corners(mesh: Mesh) -> Tensor:
+def _corners(mesh: Mesh, faces: Int[Tensor, " M"] | slice = slice(None)) -> Float[Tensor, "M 3 3"]:
+    return mesh.vertices_W[mesh.faces[faces].long()].double()
+
+
+def _of_faces(mesh: Mesh, measure: Callable[[Float[Tensor, "M 3 3"]], Tensor]) -> Tensor:
+    """What ``measure`` gives for the corners of the faces, taken part by part to save memory."""
     check_shape("faces", mesh.faces, ("F", 3))
     check_finite("vertices_W", mesh.vertices_W)
-    return mesh.vertices_W.double()[mesh.faces.long()]
+    parts = range(0, max(1, len(mesh.faces)), FACES_AT_A_TIME)
+    return torch.cat([measure(_corners(mesh, slice(start, start + FACES_AT_A_TIME))) for start in parts])
 
 
-def _areas(corners: Float[Tensor, "F 3 3"]) -> Float[Tensor, " F"]:
-    return torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1) / 2
+def _areas(mesh: Mesh) -> Float[Tensor, " F"]:
+    return _of_faces(mesh, lambda x: torch.linalg.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).norm(dim=1) / 2)
 
 
 def _to_nearest(xyz: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Float[Tensor, " N"]:
@@ -289,18 +302,23 @@ def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> dict[str, 
 
 
 def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor:
-    """Distance of each point to ``mesh``, found through its ``samples``."""
+    """Distance of each point to ``mesh``, found through its ``samples`` and centroids, some faces after others."""
     from scipy.spatial import KDTree
 
-    corners = _corners(mesh).cpu()
-    # samples represent large triangles, centroids those too small to have a sample
-    points = torch.cat([samples[0].cpu(), corners.mean(1)])
-    faces = torch.cat([samples[1].cpu(), torch.arange(len(corners))])
-    k = min(NEIGHBOURS, len(points))
-    index = KDTree(points.numpy()).query(xyz.cpu().numpy(), k=k)[1]
-    candidates = faces[torch.from_numpy(index).reshape(len(xyz), k)]
-    parts = [
-        point_triangle_distance(p[:, None].expand(-1, k, 3), corners[f]).amin(1)
-        for p, f in zip(xyz.cpu().split(20_000), candidates.split(20_000), strict=True)
-    ]
-    return torch.cat(parts)
+    xyz, points, of_face = xyz.cpu(), samples[0].cpu(), samples[1].cpu()
+    nearest = _to_nearest(xyz, points)  # not more than this
+    for start in range(0, len(mesh.faces), FACES_AT_A_TIME):
+        corners = _corners(mesh, slice(start, start + FACES_AT_A_TIME)).cpu()
+        low, high = corners.amin((0, 1)), corners.amax((0, 1))
+        near = ((xyz - xyz.clamp(low, high)).norm(dim=1) <= nearest).nonzero()[:, 0]
+        here = (of_face >= start) & (of_face < start + len(corners))
+        # samples represent large triangles, centroids those too small to have a sample
+        tree = KDTree(torch.cat([points[here], corners.mean(1)]).numpy())
+        faces = torch.cat([of_face[here] - start, torch.arange(len(corners))])
+        k = min(NEIGHBOURS, len(faces))
+        for rows in near.split(20_000):
+            candidates = faces[torch.from_numpy(tree.query(xyz[rows].numpy(), k=k)[1]).reshape(len(rows), k)]
+            found = point_triangle_distance(xyz[rows, None].expand(-1, k, 3), corners[candidates]).amin(1)
+            nearest[rows] = torch.minimum(nearest[rows], found)
+        MAP_MEMORY.give_back()
+    return nearest

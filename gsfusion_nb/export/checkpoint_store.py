@@ -1,9 +1,9 @@
-"""Checkpoints of a run: each is complete, but images and other tensors that never change are written once.
+"""Checkpoints of a run: each is complete, but what has not changed since the last one is not written again.
 
-For each checkpoint n a folder holds ``n.state`` (the state) and ``n.constants`` (constant tensors that earlier
-checkpoints do not have), both as torch saves them, and ``n.json``, which lists every file that the checkpoint needs
-with its SHA-256. ``n.json`` is written last; until then the previous checkpoint is the valid one, and it is kept until
-the next is complete.
+For each checkpoint n a folder holds ``n.state`` (the state) and ``n.constants`` (what earlier checkpoints do not have
+of images, and of large tensors in parts of some rows), both as torch saves them, and ``n.json``, which lists every file
+that the checkpoint needs with its SHA-256. ``n.json`` is written last; until then the previous checkpoint is the valid
+one, and it is kept until the next is complete.
 
 No code from the files is executed when they are read.
 """
@@ -12,20 +12,24 @@ import hashlib
 import json
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import torch
 from torch import Tensor
 
 from ..checks import shown
 from ..files import atomic_file, open_regular, read_object, reason_of, write_file
+from ..work import MAP_MEMORY
 
 FORMAT = "gsfusion_nb checkpoint"
-VERSION = 6
-_CONSTANT = "$constant"
+VERSION = 7
+_CONSTANT, _PARTS = "$constant", "$parts"
+_COPIED_BYTES, _PART_BYTES = 1 << 16, 1 << 23
+"""Of larger tensors the memory is written as it is; still larger ones are written in parts of this size."""
 _NAME = re.compile(r"\d{6}\.(state|constants)")
 
 
@@ -46,8 +50,12 @@ class CheckpointStore:
         self.folder = Path(folder)
         self._number = max([0, *self._numbers()])
         self._constants: dict[int, tuple[Tensor, str]] = {}
+        self._parts: dict[str, str] = {}
+        """SHA-256 of each part of a tensor in the last checkpoint -> its place, as of a constant."""
         self._files: dict[str, str] = {}
         """SHA-256 of every file of constants that the last checkpoint needs."""
+        self._sizes: dict[str, int] = {}
+        """Number of tensors in every file of constants that this object wrote."""
         self._before: set[str] = set()
         """Files of the last checkpoint."""
 
@@ -63,19 +71,29 @@ class CheckpointStore:
             DiskFullError: The disk is full; the previous checkpoint is still valid.
         """
         number, fresh = self._number + 1, {}
-        constants, used = {id(tensor) for tensor in constant}, {}
+        constants, used, parts = {id(tensor) for tensor in constant}, {}, dict[str, str]()
 
         def stored(tensor: Tensor) -> Any:
             if id(tensor) not in constants:
-                return _on_disk(tensor)
+                plain = _on_disk(tensor)
+                return plain if plain.nbytes <= _PART_BYTES else {_PARTS: [in_part(x) for x in _parts_of(plain)]}
             if id(tensor) not in used:
                 used[id(tensor)] = self._constants.get(id(tensor), (tensor, f"{number:06d}.constants {len(fresh)}"))
                 if id(tensor) not in self._constants:
                     fresh[used[id(tensor)][1]] = _on_disk(tensor)
             return {_CONSTANT: used[id(tensor)][1]}
 
+        def in_part(rows: Tensor) -> str:
+            digest = hashlib.sha256(rows.view(torch.uint8).view(-1).numpy().data).hexdigest()
+            MAP_MEMORY.give_back()
+            if digest not in parts:
+                parts[digest] = self._parts.get(digest, f"{number:06d}.constants {len(fresh)}")
+                if digest not in self._parts:
+                    fresh[parts[digest]] = rows
+            return parts[digest]
+
         tree = _plain(state, "state", stored)
-        needed = {place.partition(" ")[0] for _, place in used.values()}
+        needed = {place.partition(" ")[0] for place in (*(place for _, place in used.values()), *parts.values())}
         files = {name: digest for name, digest in self._files.items() if name in needed}
         if fresh:
             name = f"{number:06d}.constants"
@@ -86,6 +104,15 @@ class CheckpointStore:
         wanted = {*document["files"], f"{number:06d}.json"}
         self._remove_all_but(wanted | self._before)
         self._number, self._constants, self._files, self._before = number, used, files, wanted
+        self._parts = self._worth_keeping(parts, number, len(fresh))
+
+    def _worth_keeping(self, parts: dict[str, str], number: int, n_fresh: int) -> dict[str, str]:
+        """The parts without those in files of which less than half is needed: they are written again next time."""
+        self._sizes[f"{number:06d}.constants"] = n_fresh
+        of_file = Counter(place.partition(" ")[0] for place in parts.values())
+        of_file.update(place.partition(" ")[0] for _, place in self._constants.values())
+        kept = {name for name, n in of_file.items() if 2 * n >= self._sizes[name]}
+        return {digest: place for digest, place in parts.items() if place.partition(" ")[0] in kept}
 
     def load(self) -> Loaded:
         """The latest checkpoint that is not damaged, on the CPU; its constants are read when they are used.
@@ -126,7 +153,7 @@ class CheckpointStore:
         """Write one file; returns its SHA-256."""
         with atomic_file(self.folder / name) as temporary, temporary.open("w+b") as file:
             try:
-                torch.save(content, file)
+                torch.save(content, _GivesBack(file))  # pyright: ignore[reportArgumentType]
             except RuntimeError as e:  # torch's writer fails once more after the error of the disk
                 cause: BaseException | None = e
                 while cause is not None and not isinstance(cause, OSError):
@@ -151,7 +178,7 @@ class CheckpointStore:
                 if hashlib.file_digest(file, "sha256").hexdigest() != digest:
                     raise ValueError(f"the checksum of {name} is wrong")
                 file.seek(0)
-                mapped = name.endswith(".constants") and sys.platform != "win32"  # more than memory may hold
+                mapped = sys.platform != "win32"  # more than memory may hold
                 source = self.folder / name if mapped else file
                 content = torch.load(source, map_location="cpu", weights_only=True, mmap=mapped)
             if name.endswith(".constants"):
@@ -177,7 +204,7 @@ def _plain(value: Any, name: str, stored: Callable[[Tensor], Any]) -> Any:
         return value
     if type(value) is dict:
         for key in value:
-            if type(key) is not str or key == _CONSTANT:
+            if type(key) is not str or key in (_CONSTANT, _PARTS):
                 raise TypeError(f"{name} must have strings as keys, got {key!r}")
         return {key: _plain(v, f"{name}[{key!r}]", stored) for key, v in value.items()}
     if type(value) in (list, tuple):
@@ -187,10 +214,41 @@ def _plain(value: Any, name: str, stored: Callable[[Tensor], Any]) -> Any:
     )
 
 
+class _GivesBack:
+    """A file; after each tensor that is written to it, its memory may be given back."""
+
+    def __init__(self, file: IO[bytes]):
+        self._file = file
+
+    def write(self, data: Any) -> int:
+        n = self._file.write(data)
+        MAP_MEMORY.give_back()
+        return n
+
+    def flush(self) -> None:
+        self._file.flush()
+
+
+def _parts_of(tensor: Tensor) -> Sequence[Tensor]:
+    return tensor.split(max(1, _PART_BYTES * len(tensor) // tensor.nbytes))
+
+
+def _joined(parts: list[Tensor]) -> Tensor:
+    sizes, first = [len(part) for part in parts], parts[0]
+    whole = MAP_MEMORY.rows(sum(sizes), *first.shape[1:], dtype=first.dtype, device=first.device)
+    for place, part in zip(whole.split(sizes), parts, strict=True):
+        place.copy_(part)
+        MAP_MEMORY.give_back()
+    return whole
+
+
 def _on_disk(tensor: Tensor) -> Tensor:
-    """The tensor on the CPU, with a buffer of its own size: torch saves whole buffers."""
+    """The tensor on the CPU, as a buffer of its own size: torch saves whole buffers."""
     plain = tensor.detach().cpu().contiguous()
-    return plain if plain.untyped_storage().nbytes() == plain.nbytes else plain.clone()
+    if plain.nbytes < _COPIED_BYTES:
+        return plain.clone()
+    values = torch.from_numpy(plain.view(-1).view(torch.uint8).numpy())  # NumPy does not know all types
+    return values.view(plain.dtype).view(plain.shape)
 
 
 def _whole(value: Any, constants: dict[str, Tensor]) -> Any:
@@ -198,6 +256,8 @@ def _whole(value: Any, constants: dict[str, Tensor]) -> Any:
     if type(value) is dict:
         if _CONSTANT in value:
             return constants[value[_CONSTANT]]
+        if _PARTS in value:
+            return _joined([constants[place] for place in value[_PARTS]])
         return {key: _whole(v, constants) for key, v in value.items()}
     if type(value) in (list, tuple):
         return type(value)(_whole(v, constants) for v in value)

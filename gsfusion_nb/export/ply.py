@@ -141,30 +141,33 @@ def _read(path: Path, what: str, **options: Any) -> Any:
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
+_ROWS = 1 << 18
+"""Rows that are written together."""
 
 
 def write_mesh_ply(path: str | Path, mesh: Mesh) -> None:
     """Write a mesh, atomically. Colours are rounded to 8 bits. MeshLab, Blender, Open3D and PyVista can read it."""
-    vertices = np.zeros(mesh.vertices_W.shape[0], dtype=_VERTEX)
-    vertices["xyz"] = mesh.vertices_W.detach().cpu().numpy()
-    vertices["rgb"] = (mesh.rgb.detach().clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
-    faces = np.zeros(mesh.faces.shape[0], dtype=_FACE)
-    faces["count"] = 3
-    faces["vertices"] = mesh.faces.cpu().numpy()
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        f"element vertex {len(vertices)}",
+        f"element vertex {len(mesh.vertices_W)}",
         *(f"property float {axis}" for axis in "xyz"),
         *(f"property uchar {channel}" for channel in ("red", "green", "blue")),
-        f"element face {len(faces)}",
+        f"element face {len(mesh.faces)}",
         "property list uchar int vertex_indices",
         "end_header",
     ]
     with atomic_file(path) as temporary, temporary.open("wb") as file:
         file.write("\n".join([*header, ""]).encode("ascii"))
-        file.write(vertices.tobytes())
-        file.write(faces.tobytes())
+        for xyz, rgb in zip(mesh.vertices_W.split(_ROWS), mesh.rgb.split(_ROWS), strict=True):
+            vertices = np.zeros(len(xyz), dtype=_VERTEX)
+            vertices["xyz"] = xyz.detach().cpu().numpy()
+            vertices["rgb"] = (rgb.detach().clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
+            file.write(vertices.tobytes())
+        for part in mesh.faces.split(_ROWS):
+            faces = np.zeros(len(part), dtype=_FACE)
+            faces["count"], faces["vertices"] = 3, part.cpu().numpy()
+            file.write(faces.tobytes())
 
 
 def read_mesh_ply(path: str | Path) -> Mesh:

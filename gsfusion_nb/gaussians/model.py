@@ -12,6 +12,7 @@ from ..checks import check_shape
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
 from ..types import GaussianParams, Seeds
+from ..work import MAP_MEMORY
 from .edit import Edit, apply_edit
 from .rows import GrowingRows, turn_colours_, turn_moments_
 
@@ -227,8 +228,8 @@ class GaussianModel(GrowingRows):
         """Nothing: a step on the whole map changes it in place."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to continue later, as tensors and numbers."""
-        rows = {name: column for name, column in self.snapshot().items() if not name.startswith("trace.")}
+        """Everything needed to continue: numbers, and the columns, which later steps change."""
+        rows = {name: column for name, column in self.columns.items() if not name.startswith("trace.")}
         return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": rows}
 
     @classmethod
@@ -263,7 +264,7 @@ class GaussianModel(GrowingRows):
 
     def _new_column(self, name: str, capacity: int) -> Tensor:
         if name in self._COUNTS:
-            return torch.zeros(capacity, dtype=torch.int32, device=self.device)
+            return MAP_MEMORY.rows(capacity, dtype=torch.int32, device=self.device)
         widths = {
             "xyz_W": (3,),
             "log_scale": (3,),
@@ -271,7 +272,7 @@ class GaussianModel(GrowingRows):
             "opacity_logit": (),
             "sh": ((self.sh_degree + 1) ** 2, 3),
         }
-        return torch.zeros(capacity, *widths[name.split(".")[-1]], device=self.device)
+        return MAP_MEMORY.rows(capacity, *widths[name.split(".")[-1]], device=self.device)
 
     def _reserve(self, count: int) -> None:
         if count > self._capacity:

@@ -26,6 +26,7 @@ from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, 
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
+from ..work import MAP_MEMORY
 from .localiser import Localiser, move_map
 from .rule import AfterSteps, RuleInUse, check_known, settings_of_run, settings_with_rule
 from .step import FrameGuard, GlobalStep, StageClock, StepReport, check_frame, psnr_from_mse
@@ -169,6 +170,7 @@ class Mapper(ABC):
             with self.clock("tracking"):
                 self._record(frame)
             self.n_frames += 1
+        MAP_MEMORY.give_back()
         return dataclasses.replace(report, tracking=self.localiser.report, seconds=self.clock.seconds)
 
     @abstractmethod
@@ -392,8 +394,12 @@ class Mapper(ABC):
         return {}
 
     def maps(self) -> dict[str, dict[str, Tensor]]:
-        """The tensors of each map, by name; two runs have the same maps if these are equal."""
+        """The tensors of each map, by name; two runs have the same maps if these are equal (``order_of_rows``)."""
         return {"gaussians": vars(self.gaussians.params)}
+
+    def order_of_rows(self, name: str) -> Tensor | None:
+        """Order in which the rows of a map of ``maps`` are compared; None: as they are."""
+        return None
 
     def quadtree_cells(self, frame: Frame) -> Cells | None:
         """The quadtree cells of the frame that seeding used; ``None`` if the system has no quadtree."""

@@ -125,10 +125,14 @@ class TsdfMapping(Mapper):
         return {"n_blocks": self.volume.n_blocks}
 
     def maps(self) -> dict[str, dict[str, Tensor]]:
-        """Gaussians, and the TSDF with its blocks in Morton order."""
-        volume, rows = self.volume, self.volume.index.rows
+        """Gaussians and the TSDF."""
+        volume = self.volume
         columns = {"block_coords": volume.block_coords, "D": volume.D, "W": volume.W, "rgb": volume.rgb_planes}
-        return super().maps() | {"tsdf": {name: column[rows] for name, column in columns.items()}}
+        return super().maps() | {"tsdf": columns}
+
+    def order_of_rows(self, name: str) -> Tensor | None:
+        """The blocks of the TSDF in Morton order."""
+        return self.volume.index.rows if name == "tsdf" else None
 
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
         """In addition: a warning if no depth of the first frame is in the range that is fused."""

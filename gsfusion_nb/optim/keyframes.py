@@ -1,9 +1,7 @@
 """The views that are revisited while mapping and optimised over after the scan."""
 
 import dataclasses
-import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +13,7 @@ from torch import Tensor
 from ..backends import piece
 from ..render import farthest_depth
 from ..types import Camera, Frame, rgb_of_bytes
+from ..work import MAP_MEMORY
 
 IN_MEMORY_BYTES = 1 << 30
 """Images of keyframes beyond these are in temporary files, of whose pages the system keeps what memory allows."""
@@ -178,18 +177,11 @@ class KeyframeList:
         keyframe = keyframe if self.device is None else keyframe.to(self.device)
         images = {name: x for name in ("rgb_u8", "depth_m") if (x := getattr(keyframe, name)) is not None}
         self._bytes_kept += sum(image.nbytes for image in images.values())
-        if self._bytes_kept > IN_MEMORY_BYTES and keyframe.rgb_u8.device.type == "cpu" and sys.platform != "win32":
-            keyframe = dataclasses.replace(keyframe, **{name: _in_file(image) for name, image in images.items()})
+        device = keyframe.rgb_u8.device
+        is_full = self._bytes_kept > IN_MEMORY_BYTES and device.type == "cpu" and sys.platform != "win32"
+        if is_full or MAP_MEMORY.is_in_files(device):
+            keyframe = dataclasses.replace(keyframe, **{name: MAP_MEMORY.in_file(x) for name, x in images.items()})
         self._items.append(keyframe)
-
-
-def _in_file(image: Tensor) -> Tensor:
-    """The same values, mapped from a temporary file, which is gone when they are. ``/tmp`` is often in memory."""
-    folder = "/var/tmp" if "TMPDIR" not in os.environ and os.path.isdir("/var/tmp") else None
-    with tempfile.NamedTemporaryFile(dir=folder, prefix="gsfusion-keyframe-") as file:
-        image.contiguous().numpy().tofile(file)
-        file.flush()
-        return torch.from_file(file.name, shared=False, size=image.numel(), dtype=image.dtype).view(image.shape)
 
 
 @piece

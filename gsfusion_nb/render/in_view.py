@@ -95,8 +95,7 @@ class Boxes:
             seen = seen[~chunks_behind(near, camera, T_CW, farthest_depth(depth_m).cpu().numpy())]
         if len(seen) > MOSTLY_SEEN * len(self._chunks.low):
             return None
-        rows = (CHUNK * seen[:, None] + np.arange(CHUNK)).ravel()
-        return torch.from_numpy(rows[rows < n]).to(params.xyz_W.device)
+        return rows_of_chunks(seen, n).to(params.xyz_W.device)
 
     @contextlib.contextmanager
     def appending(self, model: Any) -> Iterator[None]:
@@ -122,10 +121,21 @@ def _state(params: GaussianParams) -> tuple[int, ...]:
     return (len(params), *(x.data_ptr() for x in columns), *(x._version for x in columns))
 
 
+def rows_of_chunks(chunks: Int[ndarray, " C"], n: int) -> Int[Tensor, " R"]:
+    """The rows in some chunks of ``n`` rows."""
+    rows = (CHUNK * chunks[:, None] + np.arange(CHUNK)).ravel()
+    return torch.from_numpy(rows[rows < n])
+
+
+def chunks_of_points(xyz_W: Float[Tensor, "N 3"]) -> Chunks:
+    """Boxes around chunks of points without extent."""
+    low, high = (_by_chunk(extreme, xyz_W).cpu().numpy() for extreme in (torch.amin, torch.amax))
+    return Chunks(low, high, np.zeros_like(low[:, 0]))
+
+
 def _chunks_of(params: GaussianParams) -> Chunks:
-    low, high = (_by_chunk(extreme, params.xyz_W) for extreme in (torch.amin, torch.amax))
     reach_m = _REACH * _by_chunk(torch.amax, params.log_scale).amax(1).exp()
-    return Chunks(low.cpu().numpy(), high.cpu().numpy(), reach_m.cpu().numpy())
+    return chunks_of_points(params.xyz_W)._replace(reach_m=reach_m.cpu().numpy())
 
 
 def _by_chunk(extreme: Callable[[Tensor, int], Tensor], x: Float[Tensor, "N 3"]) -> Float[Tensor, "C 3"]:

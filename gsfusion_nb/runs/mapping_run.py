@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import logging
+import math
 import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from torch import Tensor
 from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
 from ..data.stream import read_ahead
 from ..export import CheckpointStore
+from ..geometry import se3
 from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..seeding.rule_code import file_source
 from ..types import Frame, Mesh
@@ -191,6 +193,17 @@ class MappingRun:
         """At most ``limit`` of the frames mapped so far, evenly spread; 0 means all."""
         mapped, n = self.sequence.mapping, self.next_position
         return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in evenly(n, limit)])
+
+    def covering_views(self, least: int) -> SequenceView:
+        """At least this many mapped frames, evenly spread, and those where the camera has moved by 1 m or turned by 30
+        degrees since the last one, so that neighbours overlap on any walk."""
+        localiser, taken = self.mapper.localiser, list[int]()
+        poses, stride = localiser.poses, max(1, len(localiser.poses) // least)
+        for i, T_WC in enumerate(poses):
+            turned_deg, moved_m = se3.motion(poses[taken[-1]], T_WC) if i % stride else (math.inf, math.inf)
+            if turned_deg >= 30 or moved_m >= 1:
+                taken.append(i)
+        return dataclasses.replace(self.sequence.mapping, positions=[localiser.frame_indices[i] for i in taken])
 
     def extra_metrics(self) -> dict[str, Any]:
         """Metrics that only this kind of run has."""

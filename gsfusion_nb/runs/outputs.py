@@ -32,6 +32,7 @@ from ..files import write_file
 from ..seeding import is_built_in, rule_name, rule_source
 from ..seeding.rule_code import file_source
 from ..types import Mesh
+from ..work import MAP_MEMORY
 from .mapping_run import MappingRun
 from .report import ReportData, ReportView, write_report
 from .run_folder import METRICS, RULE
@@ -59,6 +60,9 @@ FILES = {
 
 SURFACE_SAMPLES = 200_000
 """Number of points sampled on each of the two surfaces that are compared."""
+
+_ROWS_AT_A_TIME = 8192
+"""Of a map that is hashed, which limits the memory."""
 
 MESH_VIEWS = 50
 """At most this many held-out views are compared with the mesh, spread evenly."""
@@ -115,18 +119,20 @@ def map_hashes(run: MappingRun, mesh: Mesh | None = None) -> dict[str, str]:
         "T_WC": torch.stack(run.mapper.localiser.poses) if run.mapper.localiser.poses else torch.zeros(0, 4, 4),
     }
     maps = run.mapper.maps() | {"trajectory": trajectory} | ({} if mesh is None else {"mesh": vars(mesh)})
-    return {name: hash_of(tensors) for name, tensors in maps.items()}
+    return {name: hash_of(tensors, run.mapper.order_of_rows(name)) for name, tensors in maps.items()}
 
 
-def hash_of(tensors: Mapping[str, Tensor]) -> str:
+def hash_of(tensors: Mapping[str, Tensor], order: Tensor | None = None) -> str:
     """SHA-256 of named tensors, sorted by name. Of each tensor the name, type and shape are hashed as text, then its
-    numbers, row by row, in little-endian byte order."""
+    numbers, row by row, in little-endian byte order; ``order``: row numbers, if not as they are."""
     digest = hashlib.sha256()
     for name, tensor in sorted(tensors.items()):
-        values = tensor.detach().cpu().contiguous().numpy()
-        values = values.astype(values.dtype.newbyteorder("<"), copy=False)
-        digest.update(f"{name} {values.dtype.name} {list(values.shape)}\n".encode())
-        digest.update(values.reshape(-1).view("uint8").data)
+        digest.update(f"{name} {str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}\n".encode())
+        rows = torch.arange(len(tensor), device=tensor.device) if order is None else order
+        for part in rows.split(_ROWS_AT_A_TIME):
+            values = tensor.detach()[part].cpu().contiguous().numpy()
+            digest.update(values.astype(values.dtype.newbyteorder("<"), copy=False).reshape(-1).view("uint8").data)
+            MAP_MEMORY.give_back()
     return digest.hexdigest()
 
 
@@ -256,7 +262,7 @@ def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_sample
     if truth is None:
         return metrics
     n_samples = n_samples or SURFACE_SAMPLES
-    seen = cull_unseen(truth(), readable_frames(run.mapped_views(50)))
+    seen = cull_unseen(truth(), readable_frames(run.covering_views(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed if seed is None else seed)
     scores = mesh_scores(mesh, seen, generator=generator, n_samples=n_samples)
     metrics |= _named("mesh", scores)

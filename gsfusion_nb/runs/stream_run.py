@@ -108,6 +108,10 @@ class StreamRun(MappingRun):
         """Camera-to-world pose [4, 4] of every frame of this run, as given, or as tracked and corrected so far."""
         return self.mapper.localiser.poses[self._n_earlier :]
 
+    def covering_views(self, least: int) -> SequenceView:
+        """The frames that were kept, at most ``least``."""
+        return self.mapped_views(least)
+
     def mapped_views(self, limit: int) -> SequenceView:
         """At most ``limit`` of the kept mapped frames, evenly spread."""
         kept = [frame.index for frame in self.kept.kept_mapped.items]

@@ -1,12 +1,13 @@
 """The memory of a volume: one row of values per voxel block, with spare rows for future blocks."""
 
 import contextlib
+import copy
 
 import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from ..work import available_memory
+from ..work import MAP_MEMORY, available_memory
 
 BLOCK_VOXELS = 8
 """Edge of a voxel block, voxels (Supereight2; GSFusion section III-A)."""
@@ -22,8 +23,8 @@ would save memory, but converting them takes too long."""
 W_RGB_BYTES = VOXELS_PER_BLOCK * 4
 
 _FIRST_CAPACITY = 1024
-_GROWTH = {"cpu": (8.0, 2.0, 1.25, 1.05), "cuda": (1.25, 1.05)}
-"""Factors of growth by kind of device, the first that memory allows. On a processor spare rows take no memory before
+_GROWTH = {"cpu": (8.0, 2.0, 1.25, 1.05), "cuda": (1.25, 1.05), "files": (2.0, 1.25)}
+"""Factors of growth by kind of memory, the first that it allows. On a processor spare rows take no memory before
 they are first written to. Large steps copy seldom and early, when there is little to copy, so the volume can fill
 nearly all memory: doubling alone ends near half of it. The smallest step keeps copies rare when memory is nearly full.
 """
@@ -37,11 +38,10 @@ class BlockPool:
 
     def __init__(self, capacity: int, device: torch.device, *, weighs_colours: bool):
         self.capacity = capacity
-        self.D = torch.empty(capacity, VOXELS_PER_BLOCK, device=device)
-        self.W = torch.empty(capacity, VOXELS_PER_BLOCK, device=device)
-        self.rgb = torch.empty(capacity, 3, VOXELS_PER_BLOCK, device=device)
-        self.W_rgb = torch.empty(capacity, VOXELS_PER_BLOCK, device=device) if weighs_colours else None
-        self.coords = torch.empty(capacity, 3, dtype=torch.int32, device=device)
+        self.D, self.W = (MAP_MEMORY.rows(capacity, VOXELS_PER_BLOCK, device=device) for _ in range(2))
+        self.rgb = MAP_MEMORY.rows(capacity, 3, VOXELS_PER_BLOCK, device=device)
+        self.W_rgb = MAP_MEMORY.rows(capacity, VOXELS_PER_BLOCK, device=device) if weighs_colours else None
+        self.coords = MAP_MEMORY.rows(capacity, 3, dtype=torch.int32, device=device)
 
     def hand_out(self, first: int, coords: Int[Tensor, "M 3"]) -> None:
         """Fill the rows from ``first`` on as those of blocks that were never observed."""
@@ -67,8 +67,10 @@ class BlockPool:
         if n_blocks <= self.capacity:
             return self
         device = self.D.device
-        free = available_memory(device)
-        grown = [int(factor * max(n_blocks, _FIRST_CAPACITY)) for factor in _GROWTH[device.type]]
+        in_files = MAP_MEMORY.is_in_files(device)
+        free = None if in_files else available_memory(device)
+        factors = _GROWTH["files" if in_files else device.type]
+        grown = [int(factor * max(n_blocks, _FIRST_CAPACITY)) for factor in factors]
         for capacity in (*grown, n_blocks):
             size = estimate_memory(capacity, weighs_colours=self.W_rgb is not None)
             if (limit_bytes is None or size <= limit_bytes) and (free is None or size <= free):
@@ -83,10 +85,11 @@ class BlockPool:
         )
 
     def _grown(self, capacity: int) -> "BlockPool":
-        pool = BlockPool(capacity, self.D.device, weighs_colours=self.W_rgb is not None)
-        for name in ("D", "W", "rgb", "W_rgb", "coords"):
-            if getattr(self, name) is not None:
-                getattr(pool, name)[: self.capacity] = getattr(self, name)
+        pool = copy.copy(self)
+        pool.capacity = capacity
+        for name, rows in vars(self).items():
+            if isinstance(rows, Tensor):
+                setattr(pool, name, MAP_MEMORY.grown(rows, capacity))
         return pool
 
 

@@ -27,6 +27,7 @@ from torch import Tensor
 from ..backends import op, piece
 from ..checks import check_number
 from ..types import Mesh
+from ..work import MAP_MEMORY, return_free_memory
 from .block_pool import VOXELS_PER_BLOCK
 from .volume import CORNERS, VOXELS, TsdfVolume, check_volume
 
@@ -117,8 +118,8 @@ def triangle_table() -> tuple[Tensor, Tensor]:
     return table, count
 
 
-BLOCKS_AT_A_TIME = 256
-"""Limits the memory for intermediate results, independent of the size of the map."""
+BLOCKS_AT_A_TIME, EDGES_AT_A_TIME = 256, 1 << 18
+"""Limit the memory for intermediate results, independent of the size of the map."""
 
 
 def check_mesh(volume: Any, *, min_weight: float = 1.0) -> None:
@@ -145,10 +146,27 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     Differentiable: no.
     """
     rows = torch.arange(volume.n_blocks, device=volume.device)
-    triangles = torch.cat([_triangles(volume, part, min_weight) for part in rows.split(BLOCKS_AT_A_TIME)])
-    edges, faces = triangles.unique(return_inverse=True)
-    vertices_W, rgb = _vertices(volume, edges)
+    parts = []
+    for n, part in enumerate(rows.split(BLOCKS_AT_A_TIME), start=1):
+        parts.append(_numbered(_triangles(volume, part, min_weight)))
+        if n % 64 == 0:
+            return_free_memory()  # the small results lie between large intermediate ones
+    edges, sizes = torch.cat([cut for cut, _ in parts]).unique(), [len(triangles) for _, triangles in parts]
+    faces = MAP_MEMORY.rows(sum(sizes), 3, dtype=torch.int64, device=volume.device)
+    for place, (cut, triangles) in zip(faces.split(sizes), parts, strict=True):
+        place.copy_(torch.searchsorted(edges, cut)[triangles])
+    vertices_W, rgb = (MAP_MEMORY.rows(len(edges), 3, device=volume.device) for _ in range(2))
+    for places, part in zip(torch.arange(len(edges)).split(EDGES_AT_A_TIME), edges.split(EDGES_AT_A_TIME), strict=True):
+        vertices_W[places], rgb[places] = _vertices(volume, part)
+        MAP_MEMORY.give_back()
     return Mesh(vertices_W=vertices_W, faces=faces, rgb=rgb)
+
+
+def _numbered(triangles: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, " E"], Int[Tensor, "F 3"]]:
+    """The edges of some triangles, rising, and the triangles as numbers among them, int32."""
+    MAP_MEMORY.give_back()
+    edges, numbers = triangles.unique(return_inverse=True)
+    return edges, numbers.int()
 
 
 def _triangles(volume: TsdfVolume, rows: Int[Tensor, " B"], min_weight: float) -> Int[Tensor, "F 3"]:

@@ -245,8 +245,8 @@ class TsdfVolume:
         return observed
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to continue: configuration and the allocated blocks (copies)."""
-        return {"config": to_dict(self.config)} | {name: value.clone() for name, value in self._tensors().items()}
+        """Everything needed to continue: configuration and the allocated blocks, which later frames change."""
+        return {"config": to_dict(self.config)} | self._tensors()
 
     def to(self, device: torch.device | str) -> "TsdfVolume":
         """A copy of the map on ``device``."""

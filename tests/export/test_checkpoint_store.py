@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from gsfusion_nb.export import CheckpointStore
+from gsfusion_nb.export import CheckpointStore, checkpoint_store
 
 
 def state(seed: int = 0) -> dict:
@@ -80,6 +80,27 @@ def test_what_is_constant_is_written_once(tmp_path):
     assert not tmp_path.exists()
 
 
+def test_parts_of_a_large_tensor_that_did_not_change_are_not_written_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint_store, "_PART_BYTES", 4000)
+    store, rows = CheckpointStore(tmp_path), torch.rand(100, 100, generator=torch.Generator().manual_seed(0))
+    buffer = torch.cat([rows, rows])
+
+    def written() -> list[int]:
+        store.save({"rows": buffer[:100], "small": torch.arange(3)})
+        assert same(CheckpointStore(tmp_path).load().state, {"rows": buffer[:100], "small": torch.arange(3)})
+        parts = [len(torch.load(path, weights_only=True)) for path in sorted(tmp_path.glob("*.constants"))]
+        assert 10 <= sum(parts) <= 20 + 10  # at most twice what is needed, besides that of the checkpoint before
+        return parts
+
+    assert written() == [10]
+    buffer[55] += 1
+    assert written() == [10, 1]
+    buffer[:60] += 1  # less than half of the first file is needed: the rest of it moves at the next checkpoint
+    assert written() == [10, 1, 6]
+    assert written() == [10, 6, 4]
+    assert written() == [6, 4]
+
+
 @pytest.mark.parametrize("name", ["000003.json", "000003.state"])
 @pytest.mark.parametrize("damage", ["truncated", "a flipped bit", "gone"])
 def test_a_damaged_checkpoint_is_recognised_and_the_one_before_is_used(tmp_path, name, damage):
@@ -116,5 +137,5 @@ def test_another_version_is_refused(tmp_path, version):
     CheckpointStore(tmp_path).save(state())
     path = tmp_path / "000001.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": version}))
-    with pytest.raises(ValueError, match=f"expected a gsfusion_nb checkpoint of version 6, got version {version}: map"):
+    with pytest.raises(ValueError, match=f"expected a gsfusion_nb checkpoint of version 7, got version {version}: map"):
         CheckpointStore(tmp_path).load()

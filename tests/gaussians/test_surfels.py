@@ -170,7 +170,7 @@ def surfels(n: int, *, stable: tuple[int, ...] = (), radius_m: float = 0.02, now
 
 
 def rows(model: SurfelModel) -> dict[str, torch.Tensor]:
-    return model.state_dict()["rows"]
+    return model.snapshot()
 
 
 def assert_same(model: SurfelModel, before: dict[str, torch.Tensor], but: tuple[str, ...] = ()) -> None:

@@ -49,7 +49,7 @@ def quick(fidelity: str = "measured", **overrides: Any) -> RtgSlamConfig:
 
 
 def rows(mapper: RTGSLAM) -> dict[str, torch.Tensor]:
-    return mapper.gaussians.state_dict()["rows"]
+    return mapper.gaussians.snapshot()
 
 
 def assert_same_map(a: RTGSLAM, b: RTGSLAM) -> None:

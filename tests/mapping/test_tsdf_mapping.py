@@ -49,7 +49,8 @@ def assert_fused_at(mapper, frames, poses):
     expected = TsdfVolume(mapper.config.tsdf)
     for f, T_WC in zip(frames, poses, strict=True):
         integrate(expected, Frame(**{**vars_of(f), "T_WC": T_WC}))
-    rows, columns = expected.index.rows, mapper.maps()["tsdf"]
+    rows, order = expected.index.rows, mapper.order_of_rows("tsdf")
+    columns = {name: column[order] for name, column in mapper.maps()["tsdf"].items()}
     assert torch.equal(columns["block_coords"], expected.block_coords[rows])
     torch.testing.assert_close(columns["D"], expected.D[rows])
     torch.testing.assert_close(columns["W"], expected.W[rows])

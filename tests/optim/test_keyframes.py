@@ -1,9 +1,12 @@
+import tempfile
+
 import torch
 
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.optim import KeyframeList
 from gsfusion_nb.optim import keyframes as keyframes_module
 from gsfusion_nb.types import Camera, Frame
+from gsfusion_nb.work import MAP_MEMORY
 
 CAMERA = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=2.0, cy=1.5)
 
@@ -100,9 +103,9 @@ def test_images_are_kept_where_they_are_wanted():
 def test_images_beyond_what_memory_may_hold_are_in_files(monkeypatch, tmp_path):
     monkeypatch.setattr(keyframes_module, "IN_MEMORY_BYTES", 2 * 36 + 2 * 48)  # two images with their depths
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(keyframes_module.tempfile, "tempdir", None)
-    in_file, written = keyframes_module._in_file, []
-    monkeypatch.setattr(keyframes_module, "_in_file", lambda image: written.append(image) or in_file(image))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    in_file, written = MAP_MEMORY.in_file, []
+    monkeypatch.setattr(MAP_MEMORY, "in_file", lambda image: written.append(image) or in_file(image))
     k = KeyframeList()
     for i in range(4):
         k.append(frame(i), with_depth=True)

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import importlib
 import json
-import math
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +21,7 @@ from ...backends import use_backend
 from ...checks import check_name, check_whole
 from ...config import DataConfig, TsdfConfig, gsfusion, replace
 from ...data import OpenedSequence, open_sequence
+from ...data.room import room
 from ...evaluation.image import psnr
 from ...files import write_file
 from ...geometry import se3
@@ -29,7 +29,7 @@ from ...mapping import SYSTEMS, GSFusion
 from ...render import render_forward, render_vjp
 from ...render.constants import NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ...tsdf import TsdfVolume, integrate, raycast
-from ...types import Frame, GaussianParams
+from ...types import GaussianParams
 from ...work import PeakMemory, ProgressDisplay
 from .scene import RandomScene, random_scene
 from .timing import Lap, Timing, describe, header, lap, measure, summary, threads
@@ -111,16 +111,15 @@ def _parse_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def open_frames(options: BenchOptions, size: tuple[int, int], walk: int = _WALK) -> OpenedSequence:
+def open_frames(options: BenchOptions, size: tuple[int, int]) -> OpenedSequence:
     """The sequence that the options ask for, without held-out frames; nothing is read yet.
 
     Args:
         options: Of the command.
         size: Width and height; 0: as recorded.
-        walk: Least number of frames that the walk through the room is divided into.
     """
     data = DataConfig(width=size[0], height=size[1], stop=options.n_frames, hold_out_every=0)
-    room: dict[str, Any] = {"n_frames": max(walk, options.n_frames)} if options.data == "room" else {}
+    room: dict[str, Any] = {"n_frames": max(_WALK, options.n_frames)} if options.data == "room" else {}
     return open_sequence(options.data, data=data, **room)
 
 
@@ -305,7 +304,6 @@ def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[B
 
 ROOMS, ROOM_SIZE, ROOM_FRAMES = 64, (160, 120), 20
 """Rooms of the building of ``growth``; size and number of the images of each."""
-ROOM_DISTANCE_M, ROOM_TIME_S = 10.0, 60.0
 _GROWTH_VOXEL_M = 0.04
 
 
@@ -315,22 +313,26 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
     Rooms 1, 2, 4, 8 and so on have a row. The last note of a system has the exponent b of  time = a rooms^b  by least
     squares over all rooms. It is 0 if the size of the map does not matter.
     """
+    if options.data != "room":
+        raise ValueError(f"the building of growth is made of the built-in room; leave out --data {options.data}")
     n_rooms, n_frames = (4, 3) if options.quick else (ROOMS, ROOM_FRAMES)
-    size, side = options.sizes[0] if options.size else ROOM_SIZE, math.ceil(math.sqrt(n_rooms))
-    opened = open_frames(dataclasses.replace(options, frames=options.frames or n_frames), size, walk=0)
-    frames, case = [opened[i] for i in range(len(opened))], f"{_case_name(opened)}, room"
+    width, height = options.sizes[0] if options.size else ROOM_SIZE
+    n_frames = options.frames or n_frames
+    building = room(n_frames=n_frames, rooms=n_rooms, width=width, height=height)
+    case = f"room {width}x{height}, room"
     for name, system in SYSTEMS.items():
         config, laps = system.preset("room"), list[Lap]()
         config = replace(config, tsdf__voxel_size_m=_GROWTH_VOXEL_M) if hasattr(config, "tsdf") else config
         warm, mapper = system(config), system(config)
-        for frame in frames:
-            warm.step(frame)  # loads kernels
+        for i in range(n_frames):
+            warm.step(building[i])  # loads kernels
         with PeakMemory() as memory:
-            for room in range(n_rooms):
-                took = lap(lambda m=mapper, r=room: [m.step(_in_room(frame, r, side)) for frame in frames])
-                laps.append(Lap(took.wall_s / len(frames), took.cpu_s / len(frames)))
-                if room + 1 < n_rooms and (room + 1) & room == 0:
-                    yield _growth_row(f"{case} {room + 1}", name, len(mapper.gaussians), summary(laps[-1:]))
+            for n in range(1, n_rooms + 1):
+                frames = [building[i] for i in range((n - 1) * n_frames, n * n_frames)]
+                took = lap(lambda m=mapper, f=frames: [m.step(frame) for frame in f])
+                laps.append(Lap(took.wall_s / n_frames, took.cpu_s / n_frames))
+                if n < n_rooms and n & (n - 1) == 0:
+                    yield _growth_row(f"{case} {n}", name, len(mapper.gaussians), summary(laps[-1:]))
         b = np.polyfit(np.log(np.arange(1, n_rooms + 1)), np.log([x.cpu_s for x in laps]), 1)[0]
         timing, note = summary(laps[-1:], memory.peak_mb), f", exponent {b:.2f}"
         yield _growth_row(f"{case} {n_rooms}", name, len(mapper.gaussians), timing, note)
@@ -339,15 +341,6 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
 def _growth_row(case: str, name: str, n: int, timing: Timing, note: str = "") -> BenchRow:
     note, values = f"{n / 1e3:.1f}k{note}", {"n_gaussians": n}
     return BenchRow(section="growth", case=case, method=name, timing=timing, note=note, values=values)
-
-
-def _in_room(frame: Frame, room: int, side: int) -> Frame:
-    """The frame as it would be taken in another room of a building with ``side`` rooms in a row."""
-    T_WC = frame.T_WC.clone()
-    T_WC[:2, 3] += ROOM_DISTANCE_M * torch.tensor([room % side, room // side])
-    return dataclasses.replace(
-        frame, T_WC=T_WC, index=1000 * room + frame.index, timestamp_s=ROOM_TIME_S * room + frame.timestamp_s
-    )
 
 
 SECTIONS: dict[str, tuple[str, Callable[[BenchOptions], Iterator[BenchRow]]]] = {

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,6 +195,9 @@ _FOCAL_PER_WIDTH = 0.65
 _DEPTH_UNIT_M = 1e-4
 """Stored depth counts tenths of a millimetre in uint16, up to 6.55 m: the farthest z-depth in the room is 6.41 m."""
 
+ROOM_DISTANCE_M, ROOM_TIME_S = 10.0, 60.0
+"""Between the rooms of a building, and between their first frames."""
+
 _IMPERFECT = {"exposure_stops": 3, "pose_error_m": 0.2, "pose_error_deg": 10, "pose_delay_s": 5, "holes": 1}
 """Options that add the mistakes of a recording, and their largest values. They come after the cache."""
 
@@ -211,7 +215,9 @@ class RoomSequence:
     """
 
     n_frames: int = 200
-    """Number of frames, spread over the same walk of about a minute: fewer frames are farther apart."""
+    """Number of frames of a room, spread over the same walk of about a minute: fewer frames are farther apart."""
+    rooms: int = 1
+    """Number of rooms: a square building of equal rooms, 10 m apart, which are walked through one after another."""
     width: int = 640
     height: int = 480
     trajectory: str = "mapping"
@@ -234,7 +240,7 @@ class RoomSequence:
     """Store rendered frames on disk."""
 
     def __post_init__(self):
-        for name, least in (("n_frames", 1), ("width", 8), ("height", 8), ("seed", 0)):
+        for name, least in (("n_frames", 1), ("rooms", 1), ("width", 8), ("height", 8), ("seed", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise ValueError(f"room: {name} must be a whole number >= {least}, got {value!r}")
@@ -265,11 +271,15 @@ class RoomSequence:
 
     def mesh(self) -> Mesh:
         """Ground truth of the surface, 3 cm triangles."""
-        return room_mesh(0.03, seed=self.seed, cache=self.cache)
+        room, away_m = room_mesh(0.03, seed=self.seed, cache=self.cache), torch.from_numpy(self._rooms_W).float()
+        n, vertices_W = len(room.vertices_W), room.vertices_W + away_m[:, None]
+        faces = room.faces + n * torch.arange(self.rooms)[:, None, None]
+        rgb = room.rgb.repeat(self.rooms, 1)
+        return Mesh(vertices_W=vertices_W.reshape(-1, 3), faces=faces.reshape(-1, 3), rgb=rgb)
 
     @property
     def times_s(self) -> np.ndarray:
-        """Time of every frame, seconds. [n_frames]"""
+        """Time of every frame, seconds. [N]"""
         return self._walk[1]
 
     @property
@@ -278,11 +288,12 @@ class RoomSequence:
         return repr(dataclasses.asdict(self) | {"cache": "", "version": version()})
 
     def __len__(self) -> int:
-        return self.n_frames
+        return self.rooms * self.n_frames
 
     def __getitem__(self, i: int) -> Frame:
         i = self._index(i)
-        images = cached(self._path(i) if self.cache else None, lambda: self._render(i), self._fits)
+        of_room = i % self.n_frames
+        images = cached(self._path(of_room) if self.cache else None, lambda: self._render(of_room), self._fits)
         depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
         rgb, lost = images["rgb"], self._without_depth(depth_m, i)
         if self.noise == "kinect":
@@ -302,13 +313,27 @@ class RoomSequence:
 
     @functools.cached_property
     def _walk(self) -> tuple[np.ndarray, np.ndarray]:
-        return walk(self.trajectory, self.n_frames, self.seed)
+        poses, times_s = walk(self.trajectory, self.n_frames, self.seed)
+        starts_s = ROOM_TIME_S * np.arange(self.rooms)[:, None]
+        return self._in_all_rooms(poses), (starts_s + times_s).reshape(-1)
+
+    @property
+    def _rooms_W(self) -> np.ndarray:
+        """Where the rooms of the building are, world frame, metres. [rooms, 3]"""
+        room, side = np.arange(self.rooms), math.ceil(math.sqrt(self.rooms))
+        return ROOM_DISTANCE_M * np.stack([room % side, room // side, 0 * room], 1)
+
+    def _in_all_rooms(self, poses: np.ndarray) -> np.ndarray:
+        """The poses of a walk through one room in one room after another."""
+        poses = np.tile(poses, (self.rooms, 1, 1))
+        poses[:, :3, 3] += self._rooms_W.repeat(self.n_frames, 0)
+        return poses
 
     @functools.cached_property
     def _given_poses(self) -> np.ndarray:
         poses, times_s = self._walk
         if self.pose_delay_s:
-            poses = walk(self.trajectory, self.n_frames, self.seed, delay_s=self.pose_delay_s)[0]
+            poses = self._in_all_rooms(walk(self.trajectory, self.n_frames, self.seed, delay_s=self.pose_delay_s)[0])
         if self.pose_error_m or self.pose_error_deg:
             poses = disturbed_poses(poses, times_s, self.pose_error_m, self.pose_error_deg, self.seed)
         return poses
@@ -321,9 +346,10 @@ class RoomSequence:
 
     @functools.cached_property
     def _folder(self) -> Path:
-        poses = hashlib.sha256(self._walk[0].round(6).tobytes()).hexdigest()  # another walk needs other images
+        walk_W = self._walk[0][: self.n_frames].round(6)  # another walk needs other images
+        poses = hashlib.sha256(walk_W.tobytes()).hexdigest()
         options = dataclasses.asdict(self) | {"noise": "", "cache": "", "version": version(), "walk": poses}
-        options = {name: value for name, value in options.items() if name not in _IMPERFECT}
+        options = {name: value for name, value in options.items() if name not in (*_IMPERFECT, "rooms")}
         key = hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:16]
         return cache_folder() / "room" / f"{self.name}-{self.width}x{self.height}-{key}"
 
@@ -331,9 +357,9 @@ class RoomSequence:
         return self._folder / f"{i:06d}.npz"
 
     def _index(self, i: int) -> int:
-        if not -self.n_frames <= i < self.n_frames:
-            raise IndexError(f"room: frame {i} of a sequence of {self.n_frames} frames")
-        return int(i) % self.n_frames
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"room: frame {i} of a sequence of {len(self)} frames")
+        return int(i) % len(self)
 
     def _fits(self, images: dict[str, np.ndarray]) -> bool:
         size = (self.height, self.width)

@@ -172,3 +172,18 @@ def test_holes_belong_to_surfaces_and_not_to_views():
     i, j = u[inside].long(), v[inside].long()
     visible = (clean[51].depth_m[j, i] - x[inside, 2]).abs() < 0.02
     assert (holed[51].depth_m[j, i][visible] == 0).float().mean() > 0.7
+
+
+def test_a_building_has_the_same_room_in_each_place():
+    one, building = (room(n_frames=3, rooms=n, width=32, height=24) for n in (1, 5))
+    assert len(building) == 15
+    for i in range(15):
+        here, there, n = one[i % 3], building[i], i // 3
+        assert torch.equal(there.colour, here.colour)
+        assert torch.equal(there.depth_m, here.depth_m)
+        moved_m = there.T_WC[:3, 3] - here.T_WC[:3, 3]
+        assert moved_m.tolist() == pytest.approx([10 * (n % 3), 10 * (n // 3), 0], abs=1e-5)
+    assert bool((np.diff(building.times_s) > 0).all())
+    mesh, of_one = building.mesh(), one.mesh()
+    assert len(mesh.faces) == 5 * len(of_one.faces)
+    assert float(mesh.vertices_W[:, 0].max() - of_one.vertices_W[:, 0].max()) == pytest.approx(20, abs=1e-4)

@@ -1,0 +1,85 @@
+import errno
+import os
+import tempfile
+
+import pytest
+import torch
+
+from gsfusion_nb import work
+from gsfusion_nb.config import TsdfConfig, gps_slam, gsfusion, replace, rtg_slam
+from gsfusion_nb.data.room import RoomSequence
+from gsfusion_nb.mapping import make_mapper
+from gsfusion_nb.runs.outputs import hash_of
+from gsfusion_nb.tsdf import TsdfVolume
+from gsfusion_nb.work import MAP_MEMORY
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture
+def in_files(monkeypatch, tmp_path):
+    """Everything is in files, of which the pages are given back each time."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(MAP_MEMORY, "limit_bytes", None)
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(MAP_MEMORY, "_images", None)
+    MAP_MEMORY.limit(1e-9)
+    monkeypatch.setattr(work, "_resident_bytes", lambda field: 1 << 60)
+    yield MAP_MEMORY
+    MAP_MEMORY.limit(None)
+
+
+def test_rows_in_files_grow_without_a_copy_and_survive_when_memory_is_given_back(in_files):
+    rows = in_files.rows(3, 4, dtype=torch.int32, device=CPU)
+    assert not rows.any()
+    assert in_files.is_in_files(CPU)
+    assert len(in_files._files) == 1
+    rows[:] = torch.arange(12, dtype=torch.int32).view(3, 4)
+    more = in_files.grown(rows, 2000)
+    rows[0, 0] = 7  # the same file
+    in_files.give_back()
+    assert more[:3].flatten().tolist() == [7, *range(1, 12)]
+    assert not more[3:].any()
+    image = torch.rand(5, 6)
+    assert torch.equal(in_files.in_file(image), image)
+    in_memory = torch.ones(2, 4)  # made before the limit
+    assert in_files.grown(in_memory, 4).sum() == 8
+    del rows, more
+    assert len(in_files._files) == 1  # that of the images
+
+
+@pytest.mark.parametrize("settings", [gsfusion, rtg_slam, gps_slam])
+def test_the_map_has_the_same_bits_in_files(settings, in_files, monkeypatch):
+    config = settings("room")
+    frames = RoomSequence(n_frames=12, width=64, height=48)
+
+    def hashes() -> dict[str, str]:
+        mapper = make_mapper(config)
+        for i in range(5):
+            mapper.step(frames[i])
+        surface = {} if settings is rtg_slam else {"mesh": vars(mapper.mesh())}
+        return {name: hash_of(x, mapper.order_of_rows(name)) for name, x in (mapper.maps() | surface).items()}
+
+    there = hashes()
+    MAP_MEMORY.limit(None)
+    assert hashes() == there
+
+
+def test_a_full_disk_is_an_error_before_anything_changes(in_files, monkeypatch):
+    volume = TsdfVolume(replace(TsdfConfig(), voxel_size_m=0.05))
+    volume.add_blocks(torch.tensor([[0, 0, 0]]))
+
+    def full(fd: int, start: int, n_bytes: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    with pytest.raises(MemoryError):
+        volume.add_blocks(torch.stack([torch.arange(5000)] * 3, 1))
+    assert volume.n_blocks == 1
+    assert bool((volume.D == 1).all())
+
+
+@pytest.mark.parametrize("gb", [0, -1, float("nan")])
+def test_a_limit_that_is_none_is_refused(gb):
+    with pytest.raises(ValueError, match=str(gb)):
+        MAP_MEMORY.limit(gb)
