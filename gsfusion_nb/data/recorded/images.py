@@ -5,8 +5,6 @@ OpenCV is imported on first use."""
 import functools
 import io
 import logging
-import re
-import struct
 from pathlib import Path
 
 import cv2
@@ -19,8 +17,6 @@ log = logging.getLogger(__name__)
 
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
-_EXR_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
-"""Left, top, right and bottom pixel of a part of an OpenEXR file, all inside ("OpenEXR File Layout")."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -103,7 +99,7 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
     """Pixels of an encoded image, as ``cv2.imdecode`` returns them. Raises ``BadFrameError`` naming ``source``."""
     if _is_cut(data):
         raise BadFrameError(f"{source} is truncated; expected a whole {kind} image, but its end mark is missing")
-    check_image_size(data, source, kind)
+    _check_size(data, source, kind)
     try:
         with parsing(source, f"a {kind} image", BadFrameError):
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -116,7 +112,7 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
     return image
 
 
-def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
+def _check_size(data: bytes, source: Path | str, kind: str) -> None:
     """Raise ``BadFrameError`` before an image is decoded that is of no known kind or claims too many pixels."""
     size = image_size(data)
     if size is None:
@@ -161,11 +157,7 @@ def is_to_be_turned(data: bytes) -> bool:
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP or OpenEXR file claims; None for other data."""
-    if data[:4] == b"v/1\x01":
-        windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(data[: 1 << 20])]
-        sizes = [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
-        return max(sizes, key=lambda size: size[0] * size[1], default=None)
+    """Width and height that the header of a PNG, JPEG, TIFF, PNM or BMP file claims; None for other data."""
     from PIL import Image
 
     try:
