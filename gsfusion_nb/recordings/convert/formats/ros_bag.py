@@ -5,6 +5,8 @@ depth image's time. Depth is 16UC1 in millimetres or 32FC1 in metres (REP 118), 
 frame has OpenCV axes (REP 103 "optical").
 """
 
+import io
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -136,7 +138,7 @@ def _opened(path: Path) -> Iterator[Any]:
     for file in [folder] if folder.is_file() else sorted(folder.iterdir()):
         open_regular(file, "a file of a ROS bag").close()
     what = "a ROS bag; if it is truncated or was not closed after recording, try 'rosbag reindex' or 'ros2 bag reindex'"
-    with parsing(path, what), AnyReader([folder], default_typestore=types) as reader:
+    with parsing(path, what), AnyReader([_BagPath(folder)], default_typestore=types) as reader:
         yield reader
 
 
@@ -298,3 +300,25 @@ def _pose_lookup(bag: _Bag, options: ConvertOptions, notes: list[str]):
             )
     T_BC = torch.eye(4, dtype=torch.float64) if T_body_cam is None else T_body_cam
     return Trajectory(path=bag.pose, stamps_s=stamps, rows=rows, T_body_cam=T_BC, max_gap_s=gap).pose_at
+
+
+_LARGE_BYTES = 1 << 20
+
+
+class _BagPath(type(Path())):
+    """A path whose file gives no more bytes than it has, also where a damaged bag asks for four gigabytes.
+
+    Python's own files first take the memory that is asked for, and then see how much there is.
+    """
+
+    def open(self, mode: str = "r", *args: Any, **options: Any) -> Any:
+        if mode != "rb":
+            return super().open(mode, *args, **options)
+        return _BagFile(open_regular(self, "a file of a ROS bag").detach())
+
+
+class _BagFile(io.BufferedReader):
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > _LARGE_BYTES:
+            size = max(0, min(size, os.fstat(self.fileno()).st_size - self.tell()))
+        return super().read(size)
