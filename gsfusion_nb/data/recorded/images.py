@@ -2,9 +2,7 @@
 
 OpenCV is imported on first use."""
 
-import functools
 import io
-import logging
 from pathlib import Path
 
 import cv2
@@ -12,8 +10,6 @@ import numpy as np
 
 from ...files import IMAGE_BYTES, parsing, read_bytes
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
-
-log = logging.getLogger(__name__)
 
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
@@ -30,20 +26,7 @@ def read_rgb(path: Path) -> np.ndarray:
     Raises:
         BadFrameError: the file is missing, truncated or not an image.
     """
-    data = read_image_bytes(path, "colour")
-    if is_to_be_turned(data):
-        _tell_of_turned(path.parent)
-    return decode_rgb(data, path)
-
-
-@functools.cache
-def _tell_of_turned(folder: Path) -> None:
-    """Say once for a folder what is done with images that viewers show turned."""
-    log.warning(
-        "%s: images say (EXIF orientation) that they are to be shown turned; they are used as stored, as depth images "
-        "and intrinsics are. If those belong to the turned images, turn the files first",
-        folder,
-    )
+    return decode_rgb(read_image_bytes(path, "colour"), path)
 
 
 def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:
@@ -143,17 +126,6 @@ def is_complete_image(path: Path) -> bool:
     except BadFrameError:
         return False
     return len(data) >= 8 and not _is_cut(data)
-
-
-def is_to_be_turned(data: bytes) -> bool:
-    """Whether a JPEG says (EXIF, tag 274) that viewers are to show it turned or mirrored."""
-    from PIL import Image
-
-    try:
-        found = b"Exif\0\0" in data[: 1 << 16] and Image.open(io.BytesIO(data), formats=("JPEG",)).getexif().get(274, 1)
-        return found in range(2, 9)
-    except Exception:  # whatever follows from damaged tags
-        return False
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:

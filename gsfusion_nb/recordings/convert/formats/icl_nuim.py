@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from ....data.lens import CameraModel
-from ....data.recorded.files import images_in
+from ....data.recorded.files import images_in, pair_by_stem
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....types import Camera
 from ..recording import ConvertOptions, RecordedFrame, Recording, load_pair
@@ -34,13 +34,17 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     """A trajectory of ICL-NUIM (module docstring)."""
     if not path.is_dir():
         raise SequenceNotFoundError(f"{path} is not a folder; expected one with rgb/, depth/ and *.gt.freiburg")
-    pairs = _pairs(path)
+    images = images_in(path / "rgb")
+    if wrong := [image for image in images if not image.stem.isdigit()]:
+        raise SequenceError(f"{wrong[0]} is not named by its frame number; expected 0.png")
+    depths = pair_by_stem(images, images_in(path / "depth"))
     file = _ground_truth(path) or _ground_truth(path.parent)
     poses = read_trajectory(file, time_unit="s", max_gap_s=0.0) if file else None  # numbers of frames, not times
     scale = options.depth_scale or _DEPTH_SCALE
 
     def recorded_frames() -> Iterator[RecordedFrame]:
-        for number, (colour, depth) in pairs.items():
+        for colour, depth in zip(images, depths, strict=True):
+            number = int(colour.stem)
             T = poses.pose_at(float(number)) if poses else None
             yield RecordedFrame(
                 source=str(colour),
@@ -53,7 +57,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     return Recording(
         name=str(path),
         frames=recorded_frames,
-        n_frames=len(pairs),
+        n_frames=len(images),
         depth_scale=scale,
         has_poses=poses is not None,
         notes=("y was mirrored in the world and the cameras (ICL-NUIM is left-handed, its fy is -480)",),
@@ -62,15 +66,3 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
 def _ground_truth(path: Path) -> Path | None:
     return next(iter(sorted(path.glob("*.gt.freiburg"))), None)
-
-
-def _pairs(path: Path) -> dict[int, tuple[Path, Path]]:
-    """Colour and depth by frame number, the name of rgb/0.png."""
-    for name in ("rgb", "depth"):
-        if not (path / name).is_dir():
-            raise SequenceNotFoundError(f"{path} lacks {name}/; expected rgb/ and depth/ beside *.gt.freiburg")
-    images = images_in(path / "rgb")
-    for image in images:
-        if not image.stem.isdigit():
-            raise SequenceError(f"{image} is not named by its frame number; expected 0.png")
-    return {int(image.stem): (image, path / "depth" / f"{image.stem}.png") for image in images}
