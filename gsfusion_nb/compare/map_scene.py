@@ -20,9 +20,8 @@ from ..data.room import RoomSequence
 from ..mapping import Mapper, StepReport, make_mapper
 from ..runs import MappingRun
 from ..runs.outputs import score
-from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_built_in, is_map_rule, rule_files
-from ..seeding.rule import option_paths
-from ..seeding.rule_code import only_declared_files, rule_of_source
+from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_map_rule, rule_files
+from ..seeding.rule_code import rule_of_source
 from ..types import Seeds
 from ..work import PeakMemory
 from .schedule import dotted, fixed_schedule, flat_settings, with_settings
@@ -228,9 +227,6 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
             "was started; start it again, and give every worker the same files"
         )
     mapper = make_mapper(config, seeding=rule, device=spec.device)
-    if not is_built_in(entry.found_rule()):
-        paths = option_paths(rule, spec.options).values()
-        mapper.watch = lambda _: only_declared_files(spec.rule_name, paths)
     used, given = flat_settings(mapper.config), flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
         if dotted(name) not in used:  # keyframe_every in a system that chooses its keyframes by motion
