@@ -126,11 +126,8 @@ def _left(work: float, done: float, elapsed_s: float) -> str:
     """How long the rest will take, judged by what was computed so far; empty before that, and at the end."""
     if not (work and done):
         return ""
-    return f"; {_about(elapsed_s * work / done)} left"
-
-
-def _about(seconds: float) -> str:
-    return f"about {seconds:.0f} s" if seconds < 90 else f"about {seconds / 60:.0f} min"
+    seconds = elapsed_s * work / done
+    return f"; about {seconds:.0f} s left" if seconds < 90 else f"; about {seconds / 60:.0f} min left"
 
 
 def describe(result: RunResult) -> str:

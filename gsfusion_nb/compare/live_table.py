@@ -3,7 +3,6 @@
 import html
 import threading
 import time
-import weakref
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,17 +12,13 @@ from ..drawing.page import fill
 from ..drawing.pictures import Picture
 from ..mapping import StepReport
 from ..viz.display import Bundle, with_picture
-from ..viz.player import Player, player_buttons
+from ..viz.player import MIN_INTERVAL_S, Player, error_html, player_buttons, take_the_stage
 from .executors import InProcess, Task
 from .map_scene import Entry
 from .outputs import Results
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec
 from .tables import failures
-
-MIN_INTERVAL_S = 0.1
-"""The line with the state is written at most ten times a second."""
-_on_stage: "weakref.ref[LiveTable] | None" = None
 
 
 class _Stopped(BaseException):
@@ -48,10 +43,7 @@ class LiveTable:
     def __init__(
         self, runs: Iterable[Entry | RunSpec], folder: str | Path = "runs/lab", *, store: ResultStore | None = None
     ):  # fmt: skip
-        global _on_stage
-        if _on_stage is not None and (earlier := _on_stage()) is not None:
-            earlier.stop()
-        _on_stage = weakref.ref(self)
+        take_the_stage(self)
         self.entries = [run if isinstance(run, Entry) else Entry(spec=run) for run in runs]
         self.folder, self.store = Path(folder), store or ResultStore()
         self._found: dict[int, RunResult] = {}
@@ -177,10 +169,7 @@ class LiveTable:
             words = [f"<b>{state}</b>", f"{len(self._found)} of {len(self.entries)} runs"]
             if state in ("running", "paused"):
                 words.append(html.escape(self._now))
-            error = self.player.error
-            if error is not None:
-                words.append(f'<span style="color:#b3261e">{html.escape(f"{type(error).__name__}: {error}")}</span>')
-            self.status.value = " · ".join(word for word in words if word)
+            self.status.value = " · ".join(words) + error_html(self.player.error)
 
     def _build(self) -> None:
         import ipywidgets as w

@@ -3,9 +3,7 @@
 import contextlib
 import dataclasses
 import functools
-import gc
 import json
-import sys
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
@@ -276,9 +274,6 @@ def _warm_up(sequence: OpenedSequence, config: SystemConfig, device: str) -> Non
         plain = with_settings(config, {"seeding.rule": "uniform", "seeding.options": {"coverage": False}})
         for _ in zip(range(2), MappingRun(sequence, make_mapper(plain, device=device)).online()):  # noqa: B905
             pass
-        if "ipykernel" not in sys.modules:  # a process that does nothing else: its modules are not searched every time
-            gc.collect()
-            gc.freeze()
 
 
 @functools.lru_cache(maxsize=4)

@@ -171,8 +171,7 @@ _BALL_PX = 280
 def one_gaussian_panel(camera: Camera, *, zoom: int = 6) -> Panel:
     """Move, turn and stretch one Gaussian in front of a camera of few pixels (``projection_picture``).
 
-    Drag its middle, or the end of an axis; with the shift key, up and down move it farther away and nearer. Or use the
-    sliders.
+    Drag its middle, or the end of an axis; or use the sliders.
     """
 
     def draw(**values: Any) -> Drawn:
@@ -211,8 +210,6 @@ def gaussian_handles(values: Mapping[str, Any], camera: Camera, zoom: int) -> di
 def touch_gaussian(stroke: Stroke, values: Mapping[str, Any], camera: Camera, zoom: int) -> dict[str, float]:
     """What a drag changes: the place, or the length of an axis and for the long one its direction too."""
     (du, dv), z = stroke.moved, values["z_m"]
-    if stroke.shift:
-        return {"z_m": z * math.exp(-dv / 150)}
     handles = gaussian_handles(values, camera, zoom)
     held = nearest_handle(handles, stroke.start)
     if held is None:

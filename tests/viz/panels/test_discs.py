@@ -51,5 +51,6 @@ def scene():
 
 
 def test_masks_by_hand(scene):
-    masks = masks_by_cause(*scene, 0.5, 0.1, 0.1)
+    view, frame = scene
+    masks = masks_by_cause(view, frame, 0.5, 0.1, 0.1)
     assert {cause: mask.nonzero()[:, 1].tolist() for cause, mask in masks.items()} == {1: [1, 4], 2: [2], 3: [3]}
