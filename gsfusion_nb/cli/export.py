@@ -19,47 +19,53 @@ _AS_IN_FILES = "-y"
 class ExportOptions:
     """Write the maps of a run, or a file of Gaussians, for other programs, right side up.
 
-    A .ply file holds the Gaussians, -y up (of GPS-SLAM with its surface as discs); a folder gets gaussians.ply and
-    mesh.ply in one frame, -y up."""
+    A .glb file holds Gaussians and mesh in one frame, y up; a .ply file holds the Gaussians, -y up (of GPS-SLAM with
+    its surface as discs); a folder gets gaussians.ply and mesh.ply in one frame, -y up, and map.glb."""
 
     source: Annotated[Path, tyro.conf.Positional]
     """Folder of a run, or a .ply file of Gaussians."""
     out: Annotated[Path, tyro.conf.Positional]
-    """File to write, .ply, or a folder."""
+    """File to write, .glb or .ply, or a folder."""
     up: str = "auto"
     """Direction of the map that points up: +x, -x, +y, -y, +z, -z, or three numbers such as 0.1,0,1. Default: the mean
     of the cameras' up directions in the run's trajectory; without a trajectory -y."""
     upright: bool = True
-    """Turn the maps so that -y is up, as viewers of splats expect."""
+    """Turn .ply files so that -y is up, as viewers of splats expect. A .glb file is always upright."""
+    mesh: bool = True
+    """Put the mesh of a run into a .glb file."""
     bake_steps: int = 200
-    """A run of GPS-SLAM draws its Gaussians over a surface. The surface becomes discs, and all are
+    """A run of GPS-SLAM draws its Gaussians over a surface. In a .ply file the surface becomes discs, and all are
     fitted to this many pictures of the map; 0: no fit, which is quick and less sharp; -1: no discs, the corrections
     alone, which show little over black."""
 
 
 def run(arguments: list[str]) -> int:
     """The command. Exit status 0: the files are written."""
-    from ..export import write_gaussian_ply, write_mesh_ply
+    from ..export import write_gaussian_ply, write_map_glb, write_mesh_ply
     from ..gaussians.rows import moved
     from ..geometry.upright import turn_to_minus_y_up
 
     options = parse_options(ExportOptions, prog="gsfusion-nb export", arguments=arguments)
-    suffix = options.out.suffix.lower()
-    if suffix not in ("", ".ply"):
-        raise ValueError(f"{options.out} must end in .ply, or be a folder")
     gaussians, mesh = _read(options.source)
     standard = _standard(options, gaussians)
     up, how = _up(options)
     print(f"Up is {_named(up)} in the map: {how}.")
     R = turn_to_minus_y_up(up) if options.upright else torch.eye(3).double()
-    written = [options.out if suffix else options.out / "gaussians.ply"]
-    write_gaussian_ply(written[0], moved(standard, R) if options.upright else standard)
+    suffix, written = options.out.suffix.lower(), []
+    if suffix == ".glb" or not suffix:
+        written.append(options.out if suffix else options.out / "map.glb")
+        write_map_glb(written[0], gaussians, mesh if options.mesh else None, up=up)
+    if suffix == ".ply" or not suffix:
+        written.append(options.out if suffix else options.out / "gaussians.ply")
+        write_gaussian_ply(written[-1], moved(standard, R) if options.upright else standard)
     if not suffix and mesh is not None:
         written.append(options.out / "mesh.ply")
         turned = (mesh.vertices_W.double() @ R.T).float()
         write_mesh_ply(written[-1], dataclasses.replace(mesh, vertices_W=turned))
+    if not written:
+        raise ValueError(f"{options.out} must end in .glb or .ply, or be a folder")
     for path in written:
-        frame = "-y up" if options.upright else "in the frame of the map"
+        frame = "+y up" if path.suffix == ".glb" else "-y up" if options.upright else "in the frame of the map"
         print(f"wrote {path} ({path.stat().st_size / 1e6:.2f} MB, {frame})")
     return 0
 
@@ -83,7 +89,7 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     from ..mapping.systems import get_system
 
     folder = options.source
-    if not (folder / TSDF).is_file() or options.bake_steps < 0:
+    if not (folder / TSDF).is_file() or options.bake_steps < 0 or options.out.suffix.lower() == ".glb":
         return gaussians
     settings = read_object(folder / "config.json", "the settings of a run", objects=("config",))
     system = get_system(settings.get("system", "gsfusion"))

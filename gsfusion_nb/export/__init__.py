@@ -1,6 +1,7 @@
-"""Files for other programs (Gaussians, meshes, trajectories) and checkpoints, all atomic."""
+"""Files for other programs (Gaussians, meshes, both in one glTF file, trajectories) and checkpoints, all atomic."""
 
 from .checkpoint_store import CheckpointStore as CheckpointStore
+from .glb import write_map_glb as write_map_glb
 from .ply import read_gaussian_ply as read_gaussian_ply
 from .ply import read_mesh_ply as read_mesh_ply
 from .ply import write_gaussian_ply as write_gaussian_ply

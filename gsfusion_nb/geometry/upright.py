@@ -52,14 +52,19 @@ def up_vector(up: Up) -> Float[Tensor, "3"]:
     return vector / vector.norm()
 
 
-def turn_to_minus_y_up(up: Up) -> Float[Tensor, "3 3"]:
-    """The rotation R with R up = -y, which viewers of splat files expect, float64.
+def turn_to_y_up(up: Up) -> Float[Tensor, "3 3"]:
+    """The rotation R with R up = +y, for glTF, float64.
 
-    For the axes it is a change of axes without rounding: "-y" (the OpenCV axes of the first camera) changes nothing,
-    "+z" is (x, y, z) -> (x, -z, y).
+    For the axes it is a change of axes without rounding: "-y" (the OpenCV axes of the first camera) is (x, y, z) ->
+    (x, -y, -z), "+z" is (x, y, z) -> (x, z, -y).
     """
     u = up_vector(up)
     level = torch.eye(3, dtype=torch.float64)[2 if float(u[0].abs()) > 0.9 else 0]
     e1 = level - (level @ u) * u
     e1 = e1 / e1.norm()
-    return torch.stack([e1, -u, torch.linalg.cross(u, e1)]) + 0.0  # no negative zeros
+    return torch.stack([e1, u, torch.linalg.cross(e1, u)]) + 0.0  # no negative zeros
+
+
+def turn_to_minus_y_up(up: Up) -> Float[Tensor, "3 3"]:
+    """The rotation R with R up = -y, which viewers of splat files expect, float64."""
+    return torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)) @ turn_to_y_up(up) + 0.0

@@ -37,6 +37,7 @@ def test_a_folder_has_all_files_in_one_frame(folder, tmp_path, capsys):
     gaussians, mesh = read_gaussian_ply(tmp_path / "out/gaussians.ply"), read_mesh_ply(tmp_path / "out/mesh.ply")
     assert gaussians.xyz_W.tolist() == [[0, -1, 2]]  # one metre above the floor: y = -1
     assert mesh.vertices_W[0].tolist() == [0, -1, 2]
+    assert (tmp_path / "out/map.glb").read_bytes()[:4] == b"glTF"
 
 
 def test_from_file_to_file(folder, tmp_path):
@@ -50,9 +51,9 @@ def test_from_file_to_file(folder, tmp_path):
 @pytest.mark.parametrize(
     ("out", "more", "sentence"),
     [
-        ("map.obj", [], "must end in .ply, or be a folder"),
-        ("map.ply", ["--up", "z"], "no up axis 'z'; known: +x, +y, +z, -x, -y, -z"),
-        ("map.ply", ["--up", "0,0,0"], "direction of three numbers"),
+        ("map.obj", [], "must end in .glb or .ply, or be a folder"),
+        ("map.glb", ["--up", "z"], "no up axis 'z'; known: +x, +y, +z, -x, -y, -z"),
+        ("map.glb", ["--up", "0,0,0"], "direction of three numbers"),
     ],
 )
 def test_mistakes_are_answered_with_a_sentence(folder, tmp_path, capsys, out, more, sentence):
