@@ -81,7 +81,7 @@ def known_options() -> set[str]:
     """Every option of every command and of the scripts that fetch data sets."""
     systems = [("map", "--system", name) for name in ("rtg_slam", "gps_slam")]
     calls = [(name,) for name in COMMANDS] + systems
-    calls += [("course", "times")]
+    calls += [("course", "times"), ("course", "export")]
     calls += [("live", source) for source in ("folder", "realsense", "kinect")]
     scripts = (ROOT / "gsfusion_nb/recordings/fetch.py").read_text()
     return set(re.findall(r"--[\w][\w.\-]*", "".join(help_of(*call) for call in calls) + scripts)) | set(OTHER_PROGRAMS)

@@ -1,4 +1,7 @@
-"""``gsfusion-nb course DIR``: the notebooks to work in; without a folder: how far you are."""
+"""``gsfusion-nb course DIR``: the notebooks to work in; without a folder: how far you are.
+
+``gsfusion-nb course export``: assignments.
+"""
 
 import shlex
 import subprocess
@@ -14,7 +17,10 @@ from ..config.values import parse_options
 
 @dataclass(frozen=True, kw_only=True)
 class CourseOptions:
-    """Copy the notebooks of the course into a folder, or show how far you are in them."""
+    """Copy the notebooks of the course into a folder, or show how far you are in them.
+
+    For lecturers: gsfusion-nb course export --help.
+    """
 
     folder: Annotated[Path | None, tyro.conf.Positional] = None
     """Where to write the notebooks, without solutions, and the documentation that they link to. A notebook
@@ -28,8 +34,37 @@ class CourseOptions:
     """Start the course again. The file with your progress is renamed, not deleted."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Write the solved chapters as assignments for nbgrader: points, solution cells, tests."""
+
+    out: Path
+    """New or empty folder: the course folder of nbgrader generate_assignment."""
+    chapters: Annotated[tuple[int, ...], tyro.conf.Positional] = ()
+    """Numbers of chapters. Default: all."""
+    notebooks: Path = Path("notebooks")
+    """Folder of the solved chapters."""
+
+
+def export(arguments: list[str]) -> int:
+    """The command ``gsfusion-nb course export``."""
+    from ..course.grading.export import export_course
+
+    options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
+    found = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
+    chosen = [p for p in found if not options.chapters or int(p.name[:2]) in options.chapters]
+    missing = set(options.chapters) - {int(p.name[:2]) for p in chosen}
+    if missing or not chosen:
+        raise ValueError(f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}")
+    for path in export_course(chosen, options.out):
+        print(f"wrote {path}")
+    return 0
+
+
 def run(arguments: list[str]) -> int:
     """The command."""
+    if arguments[:1] == ["export"]:
+        return export(arguments[1:])
     from ..course.course import read_course
     from ..course.progress import reset
 
