@@ -17,7 +17,7 @@ from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.recorded.files import images_in
 from gsfusion_nb.data.recorded.poses import image_number, write_pose_lines
 from gsfusion_nb.recordings import fetch
-from gsfusion_nb.recordings.convert.formats.open3d_log import read_log
+from gsfusion_nb.recordings.convert.formats.open3d_log import read_trajectory_file
 from gsfusion_nb.recordings.fetch import Item, Plan, SequenceOnDisk
 
 HOST = "https://github.com/isl-org/open3d_downloads/releases/download/augmented-icl-nuim"
@@ -55,7 +55,7 @@ PRIMESENSE = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5
 
 def to_plain_layout(folder: Path) -> None:
     """Write poses and camera in the plain layout. Line k of the poses is of the k-th number of the images' names."""
-    poses = read_log(folder / "trajectory.log")
+    poses, _ = read_trajectory_file(folder / "trajectory.log")
     numbers = [image_number(image) or 0 for image in images_in(folder / "rgb")]
     frames = [number - numbers[0] for number in numbers]
     lacking = sorted(set(frames) - set(poses))

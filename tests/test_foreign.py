@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.data.recorded.images import decode_rgb, image_size
+from gsfusion_nb.data.recorded.images import check_image_size, decode_rgb, image_size
 from gsfusion_nb.files import (
     BadFrameError,
     SequenceError,
@@ -75,7 +75,9 @@ def opened_by_hand(path: Path) -> list[str]:
         of_class = dotted in ("self.read_text", "files.read_text")
         text = isinstance(f, ast.Attribute) and name in BY_HAND and not of_class
         modes = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
-        opens = name == "open" and not dotted.startswith("tarfile") and not set("wax") & set("".join(modes))
+        opens = (
+            name == "open" and not dotted.startswith(("OpenEXR", "tarfile")) and not set("wax") & set("".join(modes))
+        )
         if text or dotted in OF_MODULE or opens:
             found.append(f"line {node.lineno}: {dotted}")
     return found
@@ -195,3 +197,13 @@ def test_an_image_that_claims_a_billion_pixels_is_not_decoded():
     data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header + b"IEND\xaeB`\x82"
     with pytest.raises(BadFrameError, match=r"a\.png cannot be decoded"):
         decode_rgb(data, "a.png")
+
+
+def test_the_size_of_an_openexr_file_is_that_of_its_largest_part():
+    head = b"v/1\x01" + struct.pack("<I", 2)
+    sizes = ((30, 20), (7000, 6000))
+    parts = [b"dataWindow\0box2i\0" + struct.pack("<iiiii", 16, 5, 7, 4 + w, 6 + h) for w, h in sizes]
+    assert image_size(head) is None
+    assert image_size(head + parts[0]) == (30, 20)
+    with pytest.raises(BadFrameError, match=r"d\.exr claims 7000x6000"):
+        check_image_size(head + parts[0] + parts[1], "d.exr", "depth")

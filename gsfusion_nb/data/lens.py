@@ -94,6 +94,17 @@ def pixel_map(model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarra
     return cv2.initUndistortRectifyMap(K, D, np.eye(3), K_new, size, cv2.CV_32FC1)
 
 
+def z_of_range(range_m: np.ndarray, model: CameraModel) -> np.ndarray:
+    """z-depth of distances measured along each pixel's ray: z = range / |ray with z = 1|, float32. [H, W]"""
+    height, width = range_m.shape
+    K, D, _ = _opencv(model)
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    uv = np.stack([u, v], -1).reshape(-1, 1, 2)
+    undistort = cv2.fisheye.undistortPoints if model.fisheye else cv2.undistortPoints
+    xy = undistort(uv, K, D).reshape(height, width, 2)
+    return (range_m / np.sqrt(1 + (xy * xy).sum(-1))).astype(np.float32)
+
+
 def _opencv(model: CameraModel) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
     K = model.camera.K.numpy().copy()
     K[:2, 2] -= 0.5  # OpenCV puts pixel centres at integers

@@ -2,7 +2,11 @@
 
 OpenCV is imported on first use."""
 
+import functools
 import io
+import logging
+import re
+import struct
 from pathlib import Path
 
 import cv2
@@ -11,8 +15,12 @@ import numpy as np
 from ...files import IMAGE_BYTES, parsing, read_bytes
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
 
+log = logging.getLogger(__name__)
+
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
+_EXR_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
+"""Left, top, right and bottom pixel of a part of an OpenEXR file, all inside ("OpenEXR File Layout")."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -26,7 +34,20 @@ def read_rgb(path: Path) -> np.ndarray:
     Raises:
         BadFrameError: the file is missing, truncated or not an image.
     """
-    return decode_rgb(read_image_bytes(path, "colour"), path)
+    data = read_image_bytes(path, "colour")
+    if is_to_be_turned(data):
+        _tell_of_turned(path.parent)
+    return decode_rgb(data, path)
+
+
+@functools.cache
+def _tell_of_turned(folder: Path) -> None:
+    """Say once for a folder what is done with images that viewers show turned."""
+    log.warning(
+        "%s: images say (EXIF orientation) that they are to be shown turned; they are used as stored, as depth images "
+        "and intrinsics are. If those belong to the turned images, turn the files first",
+        folder,
+    )
 
 
 def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:
@@ -82,7 +103,7 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
     """Pixels of an encoded image, as ``cv2.imdecode`` returns them. Raises ``BadFrameError`` naming ``source``."""
     if _is_cut(data):
         raise BadFrameError(f"{source} is truncated; expected a whole {kind} image, but its end mark is missing")
-    _check_size(data, source, kind)
+    check_image_size(data, source, kind)
     try:
         with parsing(source, f"a {kind} image", BadFrameError):
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -95,7 +116,7 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
     return image
 
 
-def _check_size(data: bytes, source: Path | str, kind: str) -> None:
+def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
     """Raise ``BadFrameError`` before an image is decoded that is of no known kind or claims too many pixels."""
     size = image_size(data)
     if size is None:
@@ -128,8 +149,23 @@ def is_complete_image(path: Path) -> bool:
     return len(data) >= 8 and not _is_cut(data)
 
 
+def is_to_be_turned(data: bytes) -> bool:
+    """Whether a JPEG says (EXIF, tag 274) that viewers are to show it turned or mirrored."""
+    from PIL import Image
+
+    try:
+        found = b"Exif\0\0" in data[: 1 << 16] and Image.open(io.BytesIO(data), formats=("JPEG",)).getexif().get(274, 1)
+        return found in range(2, 9)
+    except Exception:  # whatever follows from damaged tags
+        return False
+
+
 def image_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header of a PNG, JPEG, TIFF, PNM or BMP file claims; None for other data."""
+    """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP or OpenEXR file claims; None for other data."""
+    if data[:4] == b"v/1\x01":
+        windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(data[: 1 << 20])]
+        sizes = [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
+        return max(sizes, key=lambda size: size[0] * size[1], default=None)
     from PIL import Image
 
     try:

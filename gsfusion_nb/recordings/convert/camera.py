@@ -11,7 +11,7 @@ import torch
 
 from ...checks import shown
 from ...data.adjust.resize import resize_colour
-from ...data.lens import TIE, CameraModel, pixel_map, same_rays, warp_depth
+from ...data.lens import TIE, CameraModel, pixel_map, same_rays, warp_depth, z_of_range
 from ...data.sequence import SequenceError
 from ...files import parsing, read_object, refusing
 from ...types import Camera
@@ -105,8 +105,9 @@ class Rectifier:
     never interpolated; if the depth camera is at another place, every point is moved to its pixel (``warp_depth``).
     """
 
-    def __init__(self, camera: Camera):
+    def __init__(self, camera: Camera, *, along_ray: bool = False):
         self.camera = camera
+        self._along_ray = along_ray
 
     def __call__(self, frame: RecordedFrame, model: CameraModel, images: RgbdImages) -> RgbdImages:
         """The images of ``frame``, taken by ``model``. ``encoded`` is empty unless colour is unchanged."""
@@ -128,6 +129,8 @@ class Rectifier:
             model = colour.resized(width, height)
         else:
             model = frame.depth_model.fitted(width, height, f"the depth of {frame.source}")
+        if self._along_ray:
+            depth_m = z_of_range(depth_m, model)
         if frame.T_colour_depth is None:
             return self._nearest(depth_m, model, self.camera)
         pinhole = model.pinhole()

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ...config.values import Settings, within
 from ...data.lens import CameraModel
-from ...data.recorded.images import decode_image, decode_rgb, read_image_bytes
+from ...data.recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
 from ...data.sequence import BadFrameError, SequenceError
 from ...files import is_file, open_regular, parsing, refusing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
@@ -138,6 +138,7 @@ class Recording:
     n_frames: int
     depth_scale: float = 1000.0
     """Stored depth value of one metre, which the written images keep."""
+    depth_along_ray: bool = False
     has_poses: bool = True
     up_to_scale: bool = False
     """Whether the poses have no unit of length."""
@@ -153,11 +154,11 @@ class Recording:
             check_depth_scale(self.name, self.depth_scale)
 
 
-DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".exr")
 
 
 def read_depth_file(path: Path, scale: float) -> np.ndarray:
-    """Depth in metres of a PNG, TIFF, PGM or NumPy file, 0 = missing, float32. [H, W]
+    """Depth in metres of a PNG, TIFF, PGM, NumPy or OpenEXR file, 0 = missing, float32. [H, W]
 
     Args:
         path: One channel of 16-bit or float numbers.
@@ -165,6 +166,8 @@ def read_depth_file(path: Path, scale: float) -> np.ndarray:
     """
     if path.suffix.lower() == ".npy":
         return metres(_numpy_array(path), scale)
+    if path.suffix.lower() == ".exr":
+        return metres(_exr_channel(path), scale)
     raw = decode_image(read_image_bytes(path, "depth"), cv2.IMREAD_UNCHANGED, path, "depth")
     if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32, np.float64):
         raise BadFrameError(
@@ -208,3 +211,19 @@ def _numpy_array(path: Path) -> np.ndarray:
     if array.ndim != 2 or array.dtype.kind not in "fu":
         raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
     return array
+
+
+def _exr_channel(path: Path) -> np.ndarray:
+    try:
+        import OpenEXR  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise SequenceError(
+            f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install OpenEXR"
+        ) from None
+    check_image_size(read_image_bytes(path, "depth"), path, "depth")
+    with parsing(path, "depth as OpenEXR", BadFrameError), OpenEXR.File(str(path)) as file:
+        channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    array = next((channels[n] for n in ("Z", "Y", "R", "RGB", "RGBA") if n in channels), None)
+    if array is None:
+        raise BadFrameError(f"{path} has the channels {', '.join(channels)}; expected depth in Z, Y or R")
+    return array if array.ndim == 2 else array[..., 0]

@@ -229,7 +229,7 @@ class _Conversion:
         if self._rectifier is None:
             pinhole = model.fitted(width, height, frame.source).pinhole()
             camera = resized_camera(pinhole, self._options.width, self._options.height)
-            self._rectifier = Rectifier(camera)
+            self._rectifier = Rectifier(camera, along_ray=self._recording.depth_along_ray)
         return self._rectifier(frame, model, images)
 
     def _model(self, frame: RecordedFrame, size: tuple[int, int]) -> CameraModel:

@@ -165,7 +165,7 @@ def test_neighbouring_frames_of_real_sequences_agree(shared_sequence, name, widt
 
 
 @pytest.mark.parametrize("orientation", [1, 6])
-def test_turned_pictures_are_used_as_stored(tmp_path, box, orientation):
+def test_turned_pictures_are_used_as_stored_and_that_is_said(tmp_path, box, caplog, orientation):
     root = box.folder(tmp_path / "scan")
     tiff = b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 274, 3, 1, orientation, 0, 0)
     body = b"Exif\0\0" + tiff
@@ -173,3 +173,4 @@ def test_turned_pictures_are_used_as_stored(tmp_path, box, orientation):
         data = path.read_bytes()
         path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + data[2:])
     assert [tuple(frame.colour.shape) for frame in folder(root)] == [(48, 64, 3)] * 4
+    assert len([record for record in caplog.records if "EXIF" in record.getMessage()]) == (orientation != 1)

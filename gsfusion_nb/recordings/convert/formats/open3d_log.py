@@ -1,29 +1,33 @@
 """Open3D's reconstruction system and the Redwood data: color/, depth/, ``trajectory.log``, ``camera_intrinsic.json``.
 
-The log holds camera-to-world matrices in blocks of five lines, the first of which begins with the frame's number. Axes
-are OpenCV's, pixel centres at integers, depth in millimetres.
+The log holds camera-to-world matrices in blocks of five lines, the first of which begins with the frame's number; a
+``PinholeCameraTrajectory`` JSON holds column-major world-to-camera ones, with intrinsics. Axes are OpenCV's, pixel
+centres at integers, depth in millimetres.
 """
 
 import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....data.lens import CameraModel
 from ....data.recorded.files import images_in, natural_order
 from ....data.sequence import SequenceError, SequenceNotFoundError
-from ....files import parsing, read_object, read_text
+from ....files import parsing, read_bytes, read_object, read_text
+from ....geometry import se3
 from ..camera import model_of_object
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair
 
 _COLOUR = ("color", "image", "rgb", "images")
 _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
-_TRAJECTORIES = ("trajectory.log", "scene/trajectory.log", "scene/integrated.log", "*.log")
+_TRAJECTORIES = ("trajectory.log", "scene/trajectory.log", "scene/integrated.log", "*.log", "trajectory.json")
 
-LOOKS_FOR = "trajectory.log, color/ and depth/"
+LOOKS_FOR = "trajectory.log or .json, color/ and depth/"
 
 
 def recognise(path: Path) -> bool:
@@ -39,7 +43,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     colour, depth = images_in(colour_folder), images_in(path / "depth", DEPTH_SUFFIXES)
     pairs = _pairs(path, colour, depth)
     file = _trajectory(path)
-    poses, model = {} if file is None else read_log(file), None
+    poses, model = ({}, None) if file is None else read_trajectory_file(file)
     if len(poses) == len(pairs) <= max(pairs) and max(poses) < len(pairs):  # one pose per image: counted alike
         poses = dict(zip(pairs, poses.values(), strict=True))
     beyond = [i for i in poses if i > max(pairs)]
@@ -93,8 +97,10 @@ def _numbers(files: list[Path]) -> list[int] | None:
     return found if len(set(found)) == len(files) else None
 
 
-def read_log(path: Path) -> dict[int, Float[Tensor, "4 4"]]:
-    """Camera-to-world poses by frame number."""
+def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
+    """Camera-to-world poses by frame number of a .log or PinholeCameraTrajectory .json, and the latter's camera."""
+    if path.suffix.lower() == ".json":
+        return _read_json(path)
     lines = [line.split() for line in read_text(path, "Open3D's trajectory.log").splitlines() if line.strip()]
     if not lines or len(lines) % 5:
         raise SequenceError(
@@ -107,9 +113,18 @@ def read_log(path: Path) -> dict[int, Float[Tensor, "4 4"]]:
             poses[int(lines[at][0])] = torch.tensor(rows, dtype=torch.float64).reshape(4, 4)
     if len(poses) * 5 != len(lines):
         raise SequenceError(f"{path} has the pose of a frame twice")
-    return poses
+    return poses, None
+
+
+def _read_json(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
+    with parsing(path, "an Open3D PinholeCameraTrajectory, extrinsics of 16 numbers column by column"):
+        entries: Any = read_object(path, "an Open3D PinholeCameraTrajectory")["parameters"]
+        extrinsics = torch.tensor([entry["extrinsic"] for entry in entries], dtype=torch.float64).reshape(-1, 4, 4)
+        poses = dict(enumerate(se3.inverse(extrinsics.mT)))
+        intrinsic = entries[0].get("intrinsic")
+        return poses, None if intrinsic is None else model_of_object(intrinsic, None, str(path), centre=0.0)
 
 
 def _trajectory(path: Path) -> Path | None:
     found = (p for pattern in _TRAJECTORIES for p in sorted(path.glob(pattern), key=natural_order) if p.is_file())
-    return next(found, None)
+    return next((p for p in found if p.suffix != ".json" or b'"parameters"' in read_bytes(p, "a trajectory")), None)

@@ -1,4 +1,4 @@
-"""Record3D (iPhone, iPad): a .r3d archive, or its unpacked folder.
+"""Record3D (iPhone, iPad): a .r3d archive, its unpacked folder, or the "EXR + JPG sequence" export.
 
 .r3d is a zip with ``metadata`` (JSON) and rgbd/N.jpg, N.depth, N.conf; depth is float32 metres and confidence uint8,
 both packed with Apple's LZFSE and smaller than colour. Poses ``qx qy qz qw tx ty tz`` are camera-to-world with ARKit's
@@ -26,7 +26,7 @@ from ....data.recorded.poses import GL_TO_CV, matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
 from ..camera import model_of
-from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, metres, with_colour
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, metres, with_colour
 
 _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
 """Heights and widths of LiDAR and TrueDepth images, for files without this information."""
@@ -34,14 +34,14 @@ _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
 Fetch = Callable[[str], bytes]
 """Content of a member of the archive, by name."""
 
-LOOKS_FOR = "a .r3d file, or its unpacked folder"
+LOOKS_FOR = "a .r3d file, or its unpacked folder, or the EXR export"
 
 
 def recognise(path: Path) -> bool:
-    """The archive, or a folder with metadata and rgbd/."""
+    """The archive, or a folder with metadata and rgbd/, or the export with EXR."""
     if path.is_file():
         return path.suffix.lower() == ".r3d"
-    return _metadata_file(path) is not None and (path / "rgbd").is_dir()
+    return _metadata_file(path) is not None and any((path / n).is_dir() for n in ("rgbd", "rgb"))
 
 
 def read(path: Path, options: ConvertOptions) -> Recording:
@@ -53,34 +53,41 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     else:
         file = _metadata_file(path)
         if file is None:
-            raise SequenceNotFoundError(f"{path} lacks metadata; expected an unpacked .r3d")
-        names = {str(p.relative_to(path)) for p in path.glob("rgbd/*")}
+            raise SequenceNotFoundError(f"{path} lacks metadata.json; expected an unpacked .r3d or the EXR export")
+        names = {str(p.relative_to(path)) for p in path.glob("rgb*/*")}
         fetch = partial(_file, path)
         metadata = _object(read_bytes(file, "Record3D's metadata"), str(file))
-    found = (re.fullmatch(r"rgbd/(\d{1,9})\.jpg", n) for n in names)
+    exported = not any(n.startswith("rgbd/") for n in names)
+    pattern = "rgb/" if exported else "rgbd/"
+    found = (re.fullmatch(pattern + r"(\d{1,9})\.jpg", n) for n in names)
     numbers = sorted({int(match[1]) for match in found if match})
     poses = _poses(metadata, 1 + max(numbers, default=-1), path)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for n in numbers:  # the place in the metadata's lists: a missing image must not shift them
-            name = f"rgbd/{n}"
+            name = f"{pattern}{n}"
+            if exported:
+                load = partial(load_pair, path / f"rgb/{n}.jpg", path / f"depth/{n}.exr", 1.0)
+            else:
+                load = partial(_load, fetch, name, metadata, options.confidence, f"{path}: {name}")
             yield RecordedFrame(
                 source=f"{path}: {name}",
                 time_s=_time(metadata, n, path),
                 model=_model(metadata, n, path),
                 T_WC=None if poses is None else poses[n],
-                load=partial(_load, fetch, name, metadata, options.confidence, f"{path}: {name}"),
+                load=load,
             )
 
     if not numbers:
-        raise SequenceError(f"{path} holds no frames; expected rgbd/0.jpg and so on")
+        raise SequenceError(f"{path} holds no frames; expected {pattern}0.jpg and so on")
+    note = "confidence is not in this export" if exported else f"depth of confidence {options.confidence} and above"
     return Recording(
         name=str(path),
         frames=recorded_frames,
         n_frames=len(numbers),
         depth_scale=1.0,
         has_poses=poses is not None,
-        notes=(f"depth of confidence {options.confidence} and above",),
+        notes=(note,),
     )
 
 

@@ -1,10 +1,11 @@
-"""Open3D's trajectory.log."""
+"""Open3D's trajectory.log and PinholeCameraTrajectory."""
 
 import json
 
 import pytest
 
 from gsfusion_nb.data import SequenceError
+from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.convert import convert, detect_format
 
 
@@ -55,6 +56,19 @@ def test_images_are_paired_by_number(tmp_path, takes):
     (root / "depth/00003.png").unlink()
     with pytest.raises(SequenceError, match="has only one image of number 1; expected colour and depth"):
         convert(root, tmp_path / "out")
+
+
+def test_json_trajectory(tmp_path, takes):
+    root = write_open3d(tmp_path / "scan", takes)
+    (root / "trajectory.log").unlink()
+    (root / "camera_intrinsic.json").unlink()
+    parameters = [{"extrinsic": se3.inverse(T).T.flatten().tolist(), "intrinsic": intrinsic(takes)} for T in takes.T_WC]
+    (root / "trajectory.json").write_text(
+        json.dumps({"class_name": "PinholeCameraTrajectory", "parameters": parameters})
+    )
+    assert detect_format(root) == "open3d"
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out")
 
 
 def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):

@@ -1,4 +1,4 @@
-"""Record3D: .r3d archives, unpacked folders, LZFSE."""
+"""Record3D: .r3d archives, unpacked folders, the EXR export, LZFSE."""
 
 import json
 import struct
