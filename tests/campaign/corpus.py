@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
+import cv2
 import numpy as np
 import torch
 
@@ -138,7 +139,7 @@ def _formats(root: Path, takes) -> list[Seed]:
     for name, data in record3d.members(takes).items():
         takes.write(root / "r3d_folder" / name, data)
     seeds.append(Seed("r3d_folder", "convert", root / "r3d_folder"))
-    seeds += [_nerfstudio(root, takes), *_open3d(root, takes), *_bags(root, takes)]
+    seeds += [_nerfstudio(root, takes), *_open3d(root, takes), _icl(root, takes), *_bags(root, takes)]
     return seeds
 
 
@@ -195,6 +196,16 @@ def _open3d(root: Path, takes) -> list[Seed]:
             takes.write(at / "camera_intrinsic.json", json.dumps(camera).encode())
         seeds.append(Seed(at.name, "convert", at))
     return seeds
+
+
+def _icl(root: Path, takes) -> Seed:
+    at = root / "icl"
+    for i in range(2):
+        takes.write(at / f"rgb/{i}.png", cv2.imencode(".png", np.full((480, 640, 3), 90, np.uint8))[1].tobytes())
+        takes.write(at / f"depth/{i}.png", cv2.imencode(".png", np.full((480, 640), 9000, np.uint16))[1].tobytes())
+    rows = [" ".join(map(repr, [float(i), *takes.tum_row(i)])) for i in range(2)]
+    takes.write(at / "x.gt.freiburg", "\n".join(rows).encode())
+    return Seed("icl", "convert", at)
 
 
 def _single_files(root: Path, takes) -> list[Seed]:

@@ -53,7 +53,7 @@ def mutated(data: bytes, name: str, rng: random.Random, others: list[bytes]) -> 
         suffix = name.rsplit(".", 1)[-1].lower() if "." in name else name
         if suffix in ("json", "metadata"):
             ways = [_json, _json, _json, _json, _json_text, _json_text, _number, _number, *ways[:3]]
-        elif suffix in ("txt", "csv", "log", "yaml"):
+        elif suffix in ("txt", "csv", "log", "freiburg", "yaml", "depth_text"):
             ways = [_number, _number, _number, _number, _line, _line, *ways[:3]]
         elif suffix == "ply":
             ways = [_header, _header, _number, *ways]

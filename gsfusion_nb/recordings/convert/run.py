@@ -258,7 +258,7 @@ class ConvertCommand:
     are written one by one, and OUT appears when all is done."""
 
     words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")]
-    """FORMAT: colmap, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if omitted.
+    """FORMAT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if omitted.
     SOURCE: the file or folder of the recording. OUT: a new folder."""
     options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
 

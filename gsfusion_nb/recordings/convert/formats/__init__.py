@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from ....data.sequence import SequenceError, SequenceNotFoundError
-from . import colmap, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
+from . import colmap, icl_nuim, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
 
 FORMATS = {
-    "ros": ros_bag, "scannet": scannet, "record3d": record3d, "nerfstudio": nerfstudio,
+    "ros": ros_bag, "scannet": scannet, "record3d": record3d, "nerfstudio": nerfstudio, "icl_nuim": icl_nuim,
     "colmap": colmap, "open3d": open3d_log, "tum": tum,
 }  # fmt: skip
 """Formats by name, in the order in which they are tried. The module of a format has ``recognise(path)``,
