@@ -4,8 +4,8 @@ Each question shows a function and four statements, of which the checker finds o
 fails. The other three were tested on the same function by the same checker, and hold. A property can hold on all inputs
 of the checker and yet not be true of the function; those that a reader found are left out (``NOT_OFFERED``).
 
-``python tools/quiz.py OUT`` writes for every chapter ``chapter_NN.md`` to read and ``chapter_NN.xml``, which Moodle and
-other learning platforms import, and ``answers.md``.
+``python tools/quiz.py OUT`` writes for every chapter ``chapter_NN.xml``, which Moodle and other learning platforms
+import. The web book has the same questions to read and answer.
 """
 
 import argparse
@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 from gsfusion_nb.course.attempt import Attempt, Failed
-from gsfusion_nb.course.course import TITLES
 from gsfusion_nb.course.exercise import Exercise, exercises, source_of
 from gsfusion_nb.files import write_file
 
@@ -151,22 +150,6 @@ def by_chapter(questions: Iterable[Question]) -> dict[int, list[Question]]:
     return {chapter: list(own) for chapter, own in groupby(questions, key=lambda q: q.chapter)}
 
 
-def chapter_page(chapter: int, questions: list[Question]) -> str:
-    """The questions of a chapter in Markdown, without answers."""
-    lines = [f"# Quiz, chapter {chapter}: {TITLES[chapter]}", "", INTRODUCTION, "", PROMPT]
-    for q in questions:
-        lines += ["", f"## {q.name}", "", q.title, "", "```python", q.code, "```", ""]
-        lines += [f"- {letter}. {_markdown(option)}" for letter, option in zip("ABCD", q.options, strict=True)]
-    return "\n".join(lines) + "\n"
-
-
-def answers_page(questions: list[Question]) -> str:
-    """The right options, with what the checker says, in Markdown."""
-    lines = ["# Quiz: answers", "", "| question | | the checker says |", "|---|---|---|"]
-    lines += [f"| `{q.name}` | {'ABCD'[q.answer]} | {_markdown(q.said)} |" for q in questions]
-    return "\n".join(lines) + "\n"
-
-
 def moodle_xml(chapter: int, questions: list[Question]) -> str:
     """The questions of a chapter in Moodle's XML; the feedback is the checker's sentence."""
     quiz = ET.Element("quiz")
@@ -191,21 +174,14 @@ def _text(parent: ET.Element, text: str) -> None:
     ET.SubElement(parent, "text").text = text
 
 
-def _markdown(text: str) -> str:
-    """Text in which Markdown finds no emphasis, no HTML and no end of a table's cell."""
-    return re.sub(r"([_<\\*|])", r"\\\1", text)
-
-
 def main(arguments: list[str] | None = None) -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="Write the bank of quiz questions.")
-    parser.add_argument("out", type=Path, help="folder for Markdown pages and Moodle's XML")
+    parser.add_argument("out", type=Path, help="folder for Moodle's XML")
     out = parser.parse_args(arguments).out
     questions = bank()
     for chapter, own in by_chapter(questions).items():
-        write_file(out / f"chapter_{chapter:02}.md", chapter_page(chapter, own))
         write_file(out / f"chapter_{chapter:02}.xml", moodle_xml(chapter, own))
-    write_file(out / "answers.md", answers_page(questions))
     log.info("%d questions in %s", len(questions), out)
 
 

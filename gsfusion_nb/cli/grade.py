@@ -17,7 +17,7 @@ class GradeOptions:
 
     submissions: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Notebooks and .py files, or folders of them. A file belongs to the student whom its sub-folder names, else to
-    its own name; nbgrader's folder "submitted" is understood."""
+    its own name."""
     out: Path = Path("marks.csv")
     """The table of marks."""
     chapters: tuple[int, ...] = ()

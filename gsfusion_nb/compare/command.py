@@ -1,8 +1,5 @@
 """``gsfusion-nb lab``: a comparison from a file, with all its outputs in a folder."""
 
-import contextlib
-import itertools
-import statistics
 import sys
 import time
 from collections.abc import Sequence
@@ -17,7 +14,7 @@ from ..files import write_file
 from ..runs.run_folder import RunFolder
 from .entries import EXAMPLE, read_table
 from .executors import NoWorkerError, executor
-from .map_scene import Entry, budgeted, map_scene
+from .map_scene import Entry
 from .outputs import Results, Table
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec
@@ -25,8 +22,6 @@ from .tune import is_tuned
 
 RENEW_S = 30.0
 """Seconds between two writings of the tables while runs are done."""
-TIMED_FRAMES = 5
-"""Frames by which the time of runs is judged where the store has none of their scene and system."""
 TUNED_RUNS = 4.0
 """Work of a run whose size is tuned, in runs."""
 
@@ -53,7 +48,7 @@ class WhereOptions:
 class LabOptions(WhereOptions):
     """Compare seeding rules: rules x scenes x seeds x budgets, as a file says.
 
-    Writes runs.csv, table.md, table.tex, table.json, a figure and a page. After Ctrl-C the same command continues; no
+    Writes runs.csv, table.md, table.json, a figure and a page. After Ctrl-C the same command continues; no
     run is computed twice, also in later commands."""
 
     table: Annotated[str, tyro.conf.Positional] = ""
@@ -92,12 +87,12 @@ def run_and_write(
     table, results = table or Table(), dict[int, RunResult]()
     with RunFolder(folder):
         store = ResultStore(None if options.cache else folder)
-        began, interrupted, lost, work = time.perf_counter(), False, "", 0.0
-        renewed_s = began
+        began = renewed_s = time.perf_counter()
+        interrupted, lost, work = False, "", 0.0
         todo = {i: TUNED_RUNS if is_tuned(spec) else 1.0 for i, spec in enumerate(specs)}
         try:
-            print(announced(specs, store, options.jobs), flush=True)
-            began = renewed_s = time.perf_counter()
+            missing = {spec.key for spec in specs if store.find(spec) is None}
+            print(f"{len(missing)} of {len(specs)} runs to compute", flush=True)
             with executor(options.jobs, options.dask) as where:
                 for i, result in run_all([Entry(spec=spec) for spec in specs], store, where):
                     results[i] = result
@@ -127,36 +122,12 @@ def run_and_write(
     return 1 if failed or lost else 0, done
 
 
-def announced(specs: Sequence[RunSpec], store: ResultStore, jobs: int = 1) -> str:
-    """How many runs are not in the store, and about how long they take: as earlier ones of the same scene and system,
-    else as a few frames of the first of them."""
-    left = list({spec.key: spec for spec in specs if store.find(spec) is None}.values())
-    known = store.seconds() if left else {}
-    new = next((spec for spec in left if (spec.scene, spec.system) not in known), None)
-    others_s = 0.0 if new is None else frames_s(new)
-    seconds = sum((TUNED_RUNS if is_tuned(s) else 1.0) * known.get((s.scene, s.system), others_s) for s in left)
-    return f"{len(left)} of {len(specs)} runs to compute{f', {_about(seconds / jobs)}' if seconds else ''}"
-
-
-def frames_s(spec: RunSpec) -> float:
-    """About how long the frames of a run take, judged by the first few; 0 if it fails on these."""
-    entry = Entry(spec=spec)
-    with contextlib.suppress(Exception):  # a user's rule may raise anything; the run itself says what
-        steps = itertools.islice(map_scene(entry, budgeted(spec), scratch=True), TIMED_FRAMES)
-        seconds = [report.total_seconds for report in steps if report is not None]
-        return statistics.fmean(seconds) * len(entry.opened().mapping)
-    return 0.0
-
-
 def _left(work: float, done: float, elapsed_s: float) -> str:
     """How long the rest will take, judged by what was computed so far; empty before that, and at the end."""
     if not (work and done):
         return ""
-    return f"; {_about(elapsed_s * work / done)} left"
-
-
-def _about(seconds: float) -> str:
-    return f"about {seconds:.0f} s" if seconds < 90 else f"about {seconds / 60:.0f} min"
+    seconds = elapsed_s * work / done
+    return f"; about {seconds:.0f} s left" if seconds < 90 else f"; about {seconds / 60:.0f} min left"
 
 
 def describe(result: RunResult) -> str:

@@ -1,30 +1,24 @@
-"""A comparison in a notebook: a table that fills while the runs are done, with buttons, and the pictures of a rule."""
+"""A comparison in a notebook: a table that fills while the runs are done, with buttons."""
 
 import html
 import threading
 import time
-import weakref
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from ..drawing.curves import figure_picture, figure_words
 from ..drawing.page import fill
-from ..drawing.pictures import Picture, data_uri
+from ..drawing.pictures import Picture
 from ..mapping import StepReport
 from ..viz.display import Bundle, with_picture
-from ..viz.player import Player, player_buttons
+from ..viz.player import MIN_INTERVAL_S, Player, error_html, player_buttons, take_the_stage
 from .executors import InProcess, Task
 from .map_scene import Entry
 from .outputs import Results
-from .page import views_of
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec
 from .tables import failures
-
-MIN_INTERVAL_S = 0.1
-"""The line with the state is written at most ten times a second."""
-_on_stage: "weakref.ref[LiveTable] | None" = None
 
 
 class _Stopped(BaseException):
@@ -34,10 +28,9 @@ class _Stopped(BaseException):
 class LiveTable:
     """Does runs in a thread of its own and shows their results as they come; other cells can run meanwhile.
 
-    The last line of a cell shows it: the tables, and a menu of rules whose held-out views are shown. From Python:
-    ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which does ``n`` runs in the calling cell. Results
-    are kept in a cache, and a run that is done is never repeated: the same table made again has its rows at once.
-    Making another ``LiveTable`` stops this one.
+    The last line of a cell shows it. From Python: ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which
+    does ``n`` runs in the calling cell. Results are kept in a cache, and a run that is done is never repeated: the same
+    table made again has its rows at once. Making another ``LiveTable`` stops this one.
 
     Args:
         runs: What is compared; ``entries_of`` makes all combinations of rules, scenes, seeds and budgets.
@@ -50,10 +43,7 @@ class LiveTable:
     def __init__(
         self, runs: Iterable[Entry | RunSpec], folder: str | Path = "runs/lab", *, store: ResultStore | None = None
     ):  # fmt: skip
-        global _on_stage
-        if _on_stage is not None and (earlier := _on_stage()) is not None:
-            earlier.stop()
-        _on_stage = weakref.ref(self)
+        take_the_stage(self)
         self.entries = [run if isinstance(run, Entry) else Entry(spec=run) for run in runs]
         self.folder, self.store = Path(folder), store or ResultStore()
         self._found: dict[int, RunResult] = {}
@@ -179,41 +169,15 @@ class LiveTable:
             words = [f"<b>{state}</b>", f"{len(self._found)} of {len(self.entries)} runs"]
             if state in ("running", "paused"):
                 words.append(html.escape(self._now))
-            error = self.player.error
-            if error is not None:
-                words.append(f'<span style="color:#b3261e">{html.escape(f"{type(error).__name__}: {error}")}</span>')
-            self.status.value = " · ".join(word for word in words if word)
-
-    def _show_pictures(self, _change: Any = None) -> None:
-        self.pictures.value = self._pictures_of(self.rule.value) if self.rule.value else ""
-
-    def _pictures_of(self, label: str) -> str:
-        """The held-out views of the first run of a rule that has some, as HTML."""
-        for run in (run for run in self.results if run.spec.label == label):
-            pictures = [
-                shown
-                for view in views_of(run, self.store.folder)
-                for shown in (
-                    (f"view {view.name}, recorded", f"View {view.name} as recorded", data_uri(view.truth)),
-                    (label, f"View {view.name} as rendered by {label}", data_uri(view.render)),
-                    ("error", f"Error of {label} in view {view.name}", data_uri(view.error)),
-                )
-            ]
-            if pictures:
-                return fill("view_pictures.html", label=label, seed=run.spec.seed, pictures=pictures)
-        return html.escape(f"{label}: no pictures")
+            self.status.value = " · ".join(words) + error_html(self.player.error)
 
     def _build(self) -> None:
         import ipywidgets as w
 
         self.buttons = player_buttons(self, "gsnb-lab", self.player)
         self.progress = w.IntProgress(min=0, max=max(len(self.entries), 1), layout=w.Layout(width="260px"))
-        self.status, self.tables, self.pictures = w.HTML(), w.HTML(), w.HTML()
+        self.status, self.tables = w.HTML(), w.HTML()
         self.status.add_class("gsnb-lab-status")
-        self.pictures.add_class("gsnb-lab-pictures")
-        labels = list(dict.fromkeys(entry.spec.label for entry in self.entries))
-        self.rule = w.Dropdown(options=["", *labels], description="Pictures of")
-        self.rule.observe(self._show_pictures, names="value")
         controls = w.HBox([*self.buttons.values(), self.progress], layout=w.Layout(flex_flow="row wrap"))
-        self.widget = w.VBox([controls, self.status, self.tables, self.rule, self.pictures])
+        self.widget = w.VBox([controls, self.status, self.tables])
         self.widget.add_class("gsnb-lab")

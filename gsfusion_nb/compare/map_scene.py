@@ -3,9 +3,7 @@
 import contextlib
 import dataclasses
 import functools
-import gc
 import json
-import sys
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
@@ -20,9 +18,8 @@ from ..data.room import RoomSequence
 from ..mapping import Mapper, StepReport, make_mapper
 from ..runs import MappingRun
 from ..runs.outputs import score
-from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_built_in, is_map_rule, rule_files
-from ..seeding.rule import option_paths
-from ..seeding.rule_code import only_declared_files, rule_of_source
+from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_map_rule, rule_files
+from ..seeding.rule_code import rule_of_source
 from ..types import Seeds
 from ..work import PeakMemory
 from .schedule import dotted, fixed_schedule, flat_settings, with_settings
@@ -228,9 +225,6 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
             "was started; start it again, and give every worker the same files"
         )
     mapper = make_mapper(config, seeding=rule, device=spec.device)
-    if not is_built_in(entry.found_rule()):
-        paths = option_paths(rule, spec.options).values()
-        mapper.watch = lambda _: only_declared_files(spec.rule_name, paths)
     used, given = flat_settings(mapper.config), flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
         if dotted(name) not in used:  # keyframe_every in a system that chooses its keyframes by motion
@@ -280,9 +274,6 @@ def _warm_up(sequence: OpenedSequence, config: SystemConfig, device: str) -> Non
         plain = with_settings(config, {"seeding.rule": "uniform", "seeding.options": {"coverage": False}})
         for _ in zip(range(2), MappingRun(sequence, make_mapper(plain, device=device)).online()):  # noqa: B905
             pass
-        if "ipykernel" not in sys.modules:  # a process that does nothing else: its modules are not searched every time
-            gc.collect()
-            gc.freeze()
 
 
 @functools.lru_cache(maxsize=4)

@@ -21,7 +21,7 @@ from .run_all import ResultStore
 from .schedule import flat_settings
 from .spec import RunResult, RunSpec, package_fingerprint
 from .statistics import COLUMNS, Group, Summary, against_reference, by_budget, group_runs, standings, summarise
-from .tables import ResultTable, all_tables, as_latex, as_markdown, failures
+from .tables import ResultTable, all_tables, as_markdown, failures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -86,7 +86,7 @@ class Results:
         return figure_of(self.runs)
 
     def write(self, folder: str | Path, *, pictures: bool = True) -> list[Path]:
-        """Write ``runs.csv``, ``table.md``, ``table.tex``, ``table.json``, ``page.html`` and the Pareto plot.
+        """Write ``runs.csv``, ``table.md``, ``table.json``, ``page.html`` and the Pareto plot.
 
         Existing files are replaced, each completely or not at all; so it can be called again after every run.
 
@@ -101,7 +101,6 @@ class Results:
         texts = {
             "runs.csv": as_csv(self.runs),
             "table.md": self._as_markdown(),
-            "table.tex": self._as_latex(),
             "table.json": json.dumps(self.as_json(), indent=1, allow_nan=False),
         }
         if pictures:
@@ -126,13 +125,6 @@ class Results:
             lines = [f"- {label}, {scene}, {budget}, seed {seed}: {why}" for label, scene, budget, seed, why in lost]
             parts.append("\n".join(["### Runs that failed", "", *lines]))
         return "\n\n".join(parts) + "\n"
-
-    def _as_latex(self) -> str:
-        """For each budget the table with the scenes as columns, or that of the only scene."""
-        tables = self.tables()
-        several = {t.budget for t in tables if not t.scene}
-        wanted = [as_latex(t) for t in tables if not t.scene or t.budget not in several]
-        return "\n\n".join(["% Needs the packages booktabs and graphicx.", *wanted]) + "\n"
 
     def as_json(self) -> dict[str, Any]:
         """The numbers of the tables in their stored units, without rounding, as plain values, and where they come from.

@@ -6,7 +6,6 @@ The plot has one part for each scene and cost, with the front of the rules that 
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -115,25 +114,9 @@ PICTURE_WIDTH = 640
 """Largest width of a stored picture, pixels: a page of a hundred rules, scenes and budgets has about 15 MB."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ViewPictures:
-    """One held-out view of a run."""
-
-    name: str
-    """Number of the frame, as in the names of the pictures."""
-    truth: Picture
-    """As recorded."""
-    render: Picture
-    """As rendered from the map."""
-
-    @property
-    def error(self) -> Picture:
-        """Mean absolute error over the channels as colour (``drawing.pictures.error_map``)."""
-        return error_map(self.render, self.truth)
-
-
-def views_of(result: RunResult, folder: Path) -> Iterator[ViewPictures]:
-    """The views of a run whose two pictures can be read, in the order of ``result.pictures``.
+def views_of(result: RunResult, folder: Path) -> Iterator[tuple[str, dict[str, Picture]]]:
+    """The held-out views of a run whose two pictures can be read, in the order of ``result.pictures``: number of the
+    frame, and "truth" (as recorded), "render" and "error".
 
     Args:
         result: A run.
@@ -148,7 +131,7 @@ def views_of(result: RunResult, folder: Path) -> Iterator[ViewPictures]:
         except (BadFrameError, KeyError):  # removed since, or damaged: the other views are still worth showing
             continue
         if render.shape == truth.shape:
-            yield ViewPictures(name=match[1], truth=truth, render=render)
+            yield match[1], {"truth": truth, "render": render, "error": error_map(render, truth)}
 
 
 def _read(path: Path) -> Picture:
@@ -190,11 +173,10 @@ def _shots(group: Group, folder: Path, pictures: dict[str, int]) -> dict[str, An
     shown = {"label": group.label, "scene": group.scene, "budget": group.budget, "seed": 0, "views": []}
     for run in sorted(group.runs, key=lambda r: r.spec.seed):
         views = []
-        for view in views_of(run, folder):
-            named = {"truth": view.truth, "render": view.render, "error": view.error}
+        for frame, named in views_of(run, folder):
             uris = {name: data_uri(fit_width(picture, PICTURE_WIDTH)) for name, picture in named.items()}
             numbers = {name: pictures.setdefault(uri, len(pictures)) for name, uri in uris.items()}
-            views.append({"name": view.name, **numbers})
+            views.append({"name": frame, **numbers})
         if views:
             return {**shown, "seed": run.spec.seed, "views": views}
     return shown

@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import json
 import logging
-import statistics
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
@@ -49,16 +48,6 @@ class ResultStore:
     def keep(self, result: RunResult) -> None:
         """Write a result."""
         result.save(self.folder / RESULTS / f"{result.key}.json")
-
-    def seconds(self) -> dict[tuple[str, str], float]:
-        """Median time of the runs that are here, of whatever rule and version, by scene and system, seconds."""
-        found: dict[tuple[str, str], list[float]] = {}
-        for path in (self.folder / RESULTS).glob("*.json"):
-            with contextlib.suppress(ValueError, OSError, KeyError):
-                result = RunResult.load(path)
-                place = (result.spec.scene, result.spec.system)
-                found.setdefault(place, []).append(result.metrics["seconds_total"])
-        return {place: statistics.median(of) for place, of in found.items()}
 
     def find_tuned(self, spec: RunSpec) -> dict[str, Any] | None:
         """What ``tune`` found for ``tuning_spec(spec)``; None if that is not known."""

@@ -15,7 +15,7 @@ from .. import __version__
 from ..backends import MINE, BackendUnavailable, chosen
 from ..checks import check_number, shown
 from ..config import to_dict
-from ..config.values import check_kinds
+from ..config.values import check_kinds, within
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..files import read_object, write_file
 from ..mapping import get_system
@@ -75,18 +75,15 @@ class Budget:
     gaussians: int | None = None
     """Gaussians in the final map: one numeric option of each rule is tuned until it has this many. None: as many as the
     rule makes."""
-    tolerance: float | int = 0.05
+    tolerance: float | int = within(0.05, 0.001, 0.5)
     """Largest relative deviation from ``gaussians``."""
 
     def __post_init__(self):
         check_kinds("budget", self)
-        if self.steps not in ("equal", "own"):
-            raise ValueError(f'budget.steps must be "equal" or "own", got {shown(self.steps)}')
         if self.gaussians is not None:
             check_number("budget.gaussians", self.gaussians, 1)
             if not isinstance(self.gaussians, int):
                 raise ValueError(f"budget.gaussians must be a whole number, got {shown(self.gaussians)}")
-        check_number("budget.tolerance", self.tolerance, 0.001, 0.5)
 
     def __str__(self) -> str:
         size = "own size" if self.gaussians is None else f"{self.gaussians:,} Gaussians"

@@ -1,4 +1,4 @@
-"""The lab's tables: one row per rule, with mean and spread in each cell; as Markdown and as LaTeX."""
+"""The lab's tables: one row per rule, with mean and spread in each cell; as Markdown."""
 
 import dataclasses
 import math
@@ -214,27 +214,3 @@ def as_markdown(table: ResultTable) -> str:
 
 def _markdown(text: str) -> str:
     return "".join(f"\\{c}" if c in "\\|*_`<>[]#" else " " if c in "\r\n" else c for c in text)
-
-
-_TEX = str.maketrans(
-    {c: f"\\{c}" for c in "&%$#_{}"}
-    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}",
-       ">": r"\textgreater{}", "±": r"$\pm$", "–": "--", "∞": r"$\infty$"}
-)  # fmt: skip
-
-
-def as_latex(table: ResultTable) -> str:
-    """A ``table`` environment with booktabs, as wide as the line at most; the best of a column bold."""
-    heads = ["rule", *(column.name for column in table.columns)]
-    rows = []
-    for row in table.rows:
-        cells = (rf"\textbf{{{c.text.translate(_TEX)}}}" if c.best else c.text.translate(_TEX) for c in row.cells)
-        rows.append(" & ".join([row.label.translate(_TEX), *cells]) + r" \\")
-    return "\n".join([
-        r"\begin{table}[htbp]\centering\small",
-        rf"\caption{{{'. '.join(s[:1].upper() + s[1:] for s in (table.title, *table.notes)).translate(_TEX)}.}}",
-        r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
-        rf"\begin{{tabular}}{{l{'r' * len(table.columns)}}}\toprule",
-        " & ".join(head.translate(_TEX) for head in heads) + r" \\ \midrule",
-        *rows, r"\bottomrule\end{tabular}}\end{table}",
-    ])  # fmt: skip

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..drawing.page import fill
 from ..types import Camera
-from .learner_code import CodeInUse, argument_copy, line_of_error, run_learner
+from .learner_code import CodeInUse, argument_copy, in_words, line_of_error, run_learner
 from .learner_code import Failed as Failed
 
 
@@ -105,7 +105,8 @@ class Attempt:
         off = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(min=1.0)
         if off.numel() and float(off.max()) > 0:
             at = int(off.argmax())
-            place = f" for {names[at]}" if names else f" at {_position(at, right.shape)}" if right.ndim else ""
+            position = [int(i) for i in np.unravel_index(at, tuple(right.shape))]
+            place = f" for {names[at]}" if names else f" at {position}" if position else ""
             detail = f"got {_short(mine.reshape(-1)[at])}{place}, expected {_short(right.reshape(-1)[at])}"
             raise Failed(prop, on, f"{detail}{': ' if why[0].islower() else '. '}{why}" if why else detail)
 
@@ -148,18 +149,8 @@ def as_tensor(value: Any) -> Tensor:
 
 
 def describe(values: Sequence[Any]) -> str:
-    """Arguments in a few words: small ones by value, tensors by shape, others by type."""
-    return ", ".join(_words(v) for v in values) or "no arguments"
-
-
-def _words(value: Any) -> str:
-    if isinstance(value, Tensor):
-        return f"{value.tolist()}" if value.numel() <= 4 else f"a tensor {list(value.shape)}"
-    if isinstance(value, (bool, int, float, str)):
-        return repr(value)
-    if isinstance(value, (tuple, list)):
-        return f"a {type(value).__name__} of {len(value)}"
-    return f"a {type(value).__name__}"
+    """Arguments in a few words."""
+    return ", ".join(map(in_words, values)) or "no arguments"
 
 
 def _numbers(value: Any, prop: str, on: str) -> Tensor:
@@ -167,14 +158,6 @@ def _numbers(value: Any, prop: str, on: str) -> Tensor:
         return as_tensor(value)
     except (TypeError, ValueError, RuntimeError):
         raise Failed(prop, on, f"it returned {describe([value])}, which is not an array of numbers") from None
-
-
-def _position(flat: int, shape: torch.Size) -> str:
-    index = []
-    for size in reversed(shape):
-        index.append(flat % size)
-        flat //= size
-    return str(list(reversed(index)))
 
 
 def _short(value: Tensor) -> str:

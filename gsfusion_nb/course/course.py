@@ -36,8 +36,6 @@ class Chapter:
     solved: int
     total: int
     open_exercises: tuple[str, ...]
-    minutes_left: int
-    """For the exercises that are open, as the course estimates it."""
     minutes: int
     """For all of the chapter, as the course estimates it."""
 
@@ -100,7 +98,6 @@ class Course:
 
     def as_table(self) -> str:
         """All chapters, one a line, and what is next."""
-        left = sum(chapter.minutes_left for chapter in self.chapters) / 60
         of = sum(chapter.minutes for chapter in self.chapters) / 60
         made = f"{self.predictions} prediction{'' if self.predictions == 1 else 's'}"
         begun = [chapter.open_exercises[0] for chapter in self.chapters if 0 < chapter.solved < chapter.total]
@@ -108,7 +105,7 @@ class Course:
             [
                 *(chapter.line for chapter in self.chapters),
                 "",
-                f"{self.done} of {self.total} exercises, {made}; about {left:.0f} h of exercises are open",
+                f"{self.done} of {self.total} exercises, {made}",
                 f"about {of:.0f} h in all, text and panels included",
                 *([f"next: {', '.join(begun)}"] if begun else []),
                 *([f"kept in {self.file}"] if self.file else []),
@@ -150,7 +147,6 @@ def _chapters(noted: Entries) -> tuple[Chapter, ...]:
                 solved=len(own) - len(left),
                 total=len(own),
                 open_exercises=tuple(e.name for e in left),
-                minutes_left=sum(e.minutes for e in left),
                 minutes=MINUTES.get(number, 0),
             )
         )

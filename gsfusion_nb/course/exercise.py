@@ -126,7 +126,7 @@ class Exercise:
                 tries = int(noted.get("tries", 0)) + 1
                 note("exercises", self.name, tries=tries)
                 if verdict and "passed" not in noted:
-                    note("exercises", self.name, passed=now(), passed_at_try=tries)
+                    note("exercises", self.name, passed=now())
         return verdict
 
     def _judged(self, function: Any) -> Verdict:
@@ -162,8 +162,6 @@ class Exercise:
         wanted = self.hints_given + 1 if number is None else number
         wanted = min(max(wanted, 1), len(self.hints))
         self.hints_given = max(self.hints_given, wanted)
-        with forgiving():
-            note("exercises", self.name, hints=self.hints_given)
         return Said(f"Hint {wanted} of {len(self.hints)}: {self.hints[wanted - 1]}")
 
     def solution(self) -> Said:
@@ -177,9 +175,6 @@ class Exercise:
                 f"The solution of {self.name} opens after your first try: write the function and run "
                 f"check.{self.name}({self.name}).{more}"
             )
-        if "solution_shown" not in noted:  # the first time counts
-            with forgiving():
-                note("exercises", self.name, solution_shown=now())
         return Said(source_of(self.name, self._solution))
 
     def working(self, function: Any, *, plain: bool = False) -> Callable[..., Any]:

@@ -76,11 +76,6 @@ def forget(*names: str) -> None:
             FUNCTIONS.pop(becomes.operation, None)
 
 
-def kept() -> dict[str, Callable[..., Any]]:
-    """Exercise -> the learner's function that is kept for it, in the order of the course."""
-    return {name: KEPT[name] for name in exercises() if name in KEPT}
-
-
 def clear_counts() -> None:
     """Set the numbers of calls and the times of the board to zero."""
     CALLS.clear()

@@ -73,6 +73,27 @@ def _line_in_words(file: str, line: int) -> str:
     return f"line {line}{'' if cell is None else f' of cell {cell}'}{f', `{text}`' if text else ''}"
 
 
+def kind_of(tensor: Tensor) -> str:
+    """Shape and type of a tensor."""
+    return f"{list(tensor.shape)} {str(tensor.dtype).removeprefix('torch.')}"
+
+
+def in_words(value: Any) -> str:
+    """A value in a few words: a small one in full, a tensor by shape, type and range."""
+    if isinstance(value, (bool, int, float, str)) or value is None:
+        return repr(value)
+    if not isinstance(value, Tensor):
+        return f"a {type(value).__name__}{f' of {len(value)}' if isinstance(value, (list, tuple)) else ''}"
+    if value.numel() <= 4 and value.ndim <= 1:
+        return str(value.tolist())
+    words = kind_of(value)
+    finite = value[value.isfinite()].double()
+    if finite.numel():
+        words += f", {float(finite.min()):.4g} to {float(finite.max()):.4g}"
+    missing = value.numel() - finite.numel()
+    return words + (f", {missing} not finite" if missing else "")
+
+
 def plain_value(value: Any) -> Any:
     """A copy of a result, made of tensors, numbers, texts, lists, tuples, sets and dicts.
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ..backends import FUNCTIONS, use_backend
-from .learner_code import Failed, line_of_definition, line_of_error, plain_value
+from .learner_code import Failed, in_words, kind_of, line_of_definition, line_of_error, plain_value
 
 KEPT: dict[str, Callable[..., Any]] = {}
 """Exercise -> the learner's newest accepted function."""
@@ -76,7 +76,7 @@ class Yours:
     def _checked(self, result: Any, gives: Mapping[str, Tensor], args: tuple) -> Any:
         values = result if len(gives) > 1 else (result,)
         if not isinstance(values, (tuple, list)) or len(values) != len(gives):
-            self.fail(f"must return {len(gives)} results ({', '.join(gives)}); it returned {_short(result)}", args)
+            self.fail(f"must return {len(gives)} results ({', '.join(gives)}); it returned {in_words(result)}", args)
         checked = tuple(
             self._as_tensor(name, value, like, args) for (name, like), value in zip(gives.items(), values, strict=True)
         )
@@ -91,14 +91,14 @@ class Yours:
         """``value`` with the shape and type of ``like``; numbers and lists are converted."""
         if isinstance(value, Tensor) and value.shape == like.shape and value.dtype == like.dtype:
             return value
-        expected = f"expected {_kind(like)}"
+        expected = f"expected {kind_of(like)}"
         try:
             got = torch.as_tensor(value)
         except (TypeError, ValueError, RuntimeError):
-            self.fail(f"returned {_short(value)} for {name}, which is not an array of numbers; {expected}", args)
+            self.fail(f"returned {in_words(value)} for {name}, which is not an array of numbers; {expected}", args)
         is_whole = isinstance(value, Tensor) and not got.is_floating_point()
         if got.shape != like.shape or (like.is_floating_point() and (is_whole or got.is_complex())):
-            self.fail(f"returned {_short(value)} for {name}; {expected}", args)
+            self.fail(f"returned {in_words(value)} for {name}; {expected}", args)
         return got.to(like)
 
     def fail(self, what: str, args: tuple = (), *, cause: Exception | None = None) -> NoReturn:
@@ -108,28 +108,8 @@ class Yours:
         if args:
             names = list(inspect.signature(self.function).parameters)
             names += [f"argument {i + 1}" for i in range(len(names), len(args))]
-            message += ", with " + "; ".join(f"{n} = {_short(v)}" for n, v in zip(names, args, strict=False))
+            message += ", with " + "; ".join(f"{n} = {in_words(v)}" for n, v in zip(names, args, strict=False))
         raise LearnerError(message) from cause
-
-
-def _kind(tensor: Tensor) -> str:
-    return f"{list(tensor.shape)} {str(tensor.dtype).removeprefix('torch.')}"
-
-
-def _short(value: Any) -> str:
-    """A value in a few words: a small one in full, a tensor by shape, type and range."""
-    if isinstance(value, (bool, int, float, str)) or value is None:
-        return repr(value)
-    if not isinstance(value, Tensor):
-        return f"a {type(value).__name__}{f' of {len(value)}' if isinstance(value, (list, tuple)) else ''}"
-    if value.numel() <= 4 and value.ndim <= 1:
-        return str(value.tolist())
-    words = _kind(value)
-    finite = value[value.isfinite()].double()
-    if finite.numel():
-        words += f", {float(finite.min()):.4g} to {float(finite.max()):.4g}"
-    missing = value.numel() - finite.numel()
-    return words + (f", {missing} not finite" if missing else "")
 
 
 def remember(exercise: str, becomes: Becomes | None, function: Callable[..., Any]) -> None:

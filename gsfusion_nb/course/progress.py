@@ -3,7 +3,7 @@
 The file holds objects by section and name::
 
     {"format": 1,
-     "exercises": {"psnr": {"tries": 2, "passed": "2026-11-22T20:15:00", "hints": 1}},
+     "exercises": {"psnr": {"tries": 2, "passed": "2026-11-22T20:15:00"}},
      "predictions": {"first_seeds": {"question": "...", "answer": 3000, "came": 3812}}}
 
 Sections of other modules are kept as they are. The environment variable ``GSNB_COURSE_FILE`` names another file. A

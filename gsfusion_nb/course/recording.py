@@ -57,24 +57,18 @@ def depth_factor(attempt: Attempt) -> None:
     attempt.close(got, 5.0, "noise does not make it smaller", tolerance=0.25, why="average b - R a before you divide")
 
 
-def _pose_shift(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
-    def likeness(k: int) -> float:
-        n = len(image_motion)
-        x, y = image_motion[max(0, -k) : n - max(0, k)], pose_motion[max(0, k) : n - max(0, -k)]
-        x, y = x - x.mean(), y - y.mean()
-        return float((x * y).sum() / (x.norm() * y.norm()))
-
-    return max(range(-reach, reach + 1), key=likeness)
-
-
 def _alike(x: Tensor, y: Tensor, k: int) -> float:
     n = len(x)
     pair = torch.stack([x[max(0, -k) : n - max(0, k)], y[max(0, k) : n - max(0, -k)]])
     return float(torch.corrcoef(pair)[0, 1])
 
 
+def _pose_shift(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
+    return max(range(-reach, reach + 1), key=lambda k: _alike(image_motion, pose_motion, k))
+
+
 def _other_sign(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
-    return -max(range(-reach, reach + 1), key=lambda k: _alike(image_motion, pose_motion, k))
+    return -_pose_shift(image_motion, pose_motion, reach)
 
 
 def _least_difference(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:

@@ -240,35 +240,19 @@ def tiles_touched(attempt: Attempt) -> None:
     """Which tiles does the box around a splat touch?"""
     names = ("x0", "x1", "y0", "y1")
 
-    def ask(on: str, u: Number, v: Number, extent: Number, width: int, height: int, prop: str, why: str = "") -> None:
-        got = attempt.unpack(_as_list(attempt.on(on)(u, v, extent, width, height, 8)), names)
-        attempt.close(got, _tiles_touched(u, v, extent, width, height, 8), prop, why=why)
-
     half_open = "the ranges are half open: the end is one past the last tile"
-    ask(
-        "u 12, v 20, extent 2, picture 64 x 48, tiles of 8",
-        12,
-        20,
-        2,
-        64,
-        48,
-        "a splat inside one tile is in that tile",
-        half_open,
-    )
-    ask("u 31, v 39, extent 1", 31, 39, 1, 64, 48, "a coordinate belongs to the tile below it: floor, not round")
-    ask("u 16, v 24, extent 5", 16, 24, 5, 64, 48, "a splat across a border is on both sides")
-    ask("u 2, v 3, extent 10", 2, 3, 10, 64, 48, "tiles outside the picture do not exist", "clamp the ranges")
-    ask("u 62, v 46, extent 10", 62, 46, 10, 64, 48, "tiles outside the picture do not exist", "clamp the ranges")
-    ask(
-        "u 58, v 43, extent 1, picture 60 x 45",
-        58,
-        43,
-        1,
-        60,
-        45,
-        "the last tile may reach beyond the picture's border",
-        "ceil, not floor",
-    )
+    outside, beyond = "tiles outside the picture do not exist", "the last tile may reach beyond the picture's border"
+    for u, v, extent, width, height, prop, why in (
+        (12, 20, 2, 64, 48, "a splat inside one tile is in that tile", half_open),
+        (31, 39, 1, 64, 48, "a coordinate belongs to the tile below it: floor, not round", ""),
+        (16, 24, 5, 64, 48, "a splat across a border is on both sides", ""),
+        (2, 3, 10, 64, 48, outside, "clamp the ranges"),
+        (62, 46, 10, 64, 48, outside, "clamp the ranges"),
+        (58, 43, 1, 60, 45, beyond, "ceil, not floor"),
+    ):
+        attempt.on(f"u {u}, v {v}, extent {extent}, picture {width} x {height}, tiles of 8")
+        got = attempt.unpack(_as_list(attempt(u, v, extent, width, height, 8)), names)
+        attempt.close(got, _tiles_touched(u, v, extent, width, height, 8), prop, why=why)
     for on, u in (("u -30, v 20, extent 5: left of the picture", -30.0), ("u 100, v 20: right of it", 100.0)):
         x0, x1, *_ = box = attempt.unpack(_as_list(attempt.on(on)(u, 20.0, 5.0, 64, 48, 8)), names)
         attempt.holds(x1 <= x0, "a splat outside the picture touches no tile", detail=f"got columns {x0} to {x1}")

@@ -23,7 +23,6 @@ from .image_features import (
     gradient_length,
     luma,
     orb_corners,
-    shi_tomasi_corners,
     structure_directions,
 )
 from .points import MapView, Neighbours, k_nearest, nearest_others, view_map, voxel_keys
@@ -319,22 +318,16 @@ class SeedContext:
             ("edges", low, high, dilate_px, euclidean), lambda: canny(self.frame, low, high, dilate_px, euclidean)
         )
 
-    def corners(self, count: int = 1000, method: Literal["orb", "shi_tomasi"] = "orb") -> Float[Tensor, "K 2"]:
-        """Positions of the strongest corners, continuous pixel coordinates, at centres of pixels; none in an image with
-        a side below 8 pixels. [K, 2]
+    def corners(self, count: int = 1000) -> Float[Tensor, "K 2"]:
+        """Positions of the strongest corners, at most ``count``, continuous pixel coordinates, at centres of pixels;
+        none in an image with a side below 8 pixels. [K, 2]
 
-        Args:
-            count: At most this many.
-            method: "orb": FAST corners on eight image sizes, by their Harris score, as ORB takes them (OpenCV, about
-                6 ms at 320x240); "shi_tomasi": the smaller eigenvalue of the structure tensor, largest within 5 x 5
-                pixels (kornia, about 20 ms; on the frame's device).
-
-        Source: Rublee et al. 2011; Shi and Tomasi 1994.
+        FAST corners on eight image sizes, by their Harris score, as ORB takes them (OpenCV, about 6 ms at 320x240).
+        Source: Rublee et al. 2011.
         """
         if min(self.frame.camera.width, self.frame.camera.height) < SMALLEST_LEVEL_PX:
             return self.frame.depth_m.new_zeros(0, 2)
-        find = orb_corners if method == "orb" else shi_tomasi_corners
-        return self._once(("corners", count, method), lambda: find(self.frame, count))
+        return self._once(("corners", count), lambda: orb_corners(self.frame, count))
 
     @property
     def has_map(self) -> bool:

@@ -117,18 +117,5 @@ def orb_corners(frame: Frame, count: int) -> Float[Tensor, "K 2"]:
     return (pixel.float() + 0.5).to(frame.depth_m.device)
 
 
-def shi_tomasi_corners(frame: Frame, count: int) -> Float[Tensor, "K 2"]:
-    """Centres of the pixels with the largest response that are the largest of their 5 x 5 neighbourhood."""
-    from kornia.feature import gftt_response
-
-    response = gftt_response(luma(frame.rgb)[None, None])[0, 0]
-    largest = functional.max_pool2d(response[None, None], 5, stride=1, padding=2)[0, 0]
-    peaks = torch.where((response == largest) & (response > 1e-6), response, 0.0).flatten()
-    order = peaks.argsort(descending=True, stable=True)[:count]
-    pixel = order[peaks[order] > 0].sort().values
-    row, column = pixel // frame.camera.width, pixel % frame.camera.width
-    return torch.stack([column, row], dim=1).to(response) + 0.5
-
-
 def _grey_levels(frame: Frame) -> np.ndarray:
     return cv2.cvtColor(frame.rgb_u8.cpu().numpy(), cv2.COLOR_RGB2GRAY)

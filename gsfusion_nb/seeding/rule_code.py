@@ -14,10 +14,9 @@ import os
 import sys
 import sysconfig
 import textwrap
-import threading
 import traceback
 import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,7 +24,7 @@ import numpy as np
 import torch
 
 from ..checks import shown
-from ..files import UNREADABLE, cache_folder, file_hashes, read_text
+from ..files import UNREADABLE, file_hashes, read_text
 from .rule import SeedingRule, get_rule, keep_registered, option_paths, registered, rule_name
 
 _OWN = __name__.partition(".")[0]
@@ -335,49 +334,3 @@ def _load(source: str, name: str, file: str) -> types.ModuleType:
     functions = [k for k, v in vars(module).items() if isinstance(v, types.FunctionType) and v.__module__ == name]
     module.__dict__["__rules__"] = list(dict.fromkeys([*own, *(f for f in functions if not f.startswith("_"))]))
     return module
-
-
-_SYSTEM = ("/dev", "/proc", "/sys", "/etc", "/usr", sys.prefix, sys.base_prefix, str(Path(__file__).parents[1]))
-_CODE = {".py", ".pyc", ".nbi", ".nbc"}
-_now = threading.local()
-
-
-@functools.cache
-def _listen() -> None:
-    # A lambda, which no tool that checks types wraps: a wrapper raises events itself, and they would never end.
-    sys.addaudithook(lambda event, arguments: _note(*arguments) if event == "open" else None)
-
-
-def _note(file: Any, _mode: Any, flags: int) -> None:
-    opened: set[str] | None = getattr(_now, "opened", None)
-    if opened is not None and not isinstance(file, int) and not flags & (os.O_WRONLY | os.O_TRUNC | os.O_EXCL):
-        opened.add(os.path.abspath(os.fsdecode(file)))
-
-
-@contextlib.contextmanager
-def only_declared_files(rule: str, paths: Iterable[Path]) -> Iterator[None]:
-    """Context in which a rule may read only the files and folders ``paths``, Python's and those of packages.
-
-    Only files are noticed that Python opens, in this thread: ``open``, ``torch.load``, ``numpy.load``. Files opened by
-    compiled code (``cv2.imread``, ``torch.jit.load``) are not.
-
-    Raises:
-        ValueError: at the end of the context, if another file was read.
-    """
-    _listen()
-    opened: set[str] = set()
-    _now.opened = opened
-    try:
-        yield
-    finally:
-        _now.opened = None
-    if not opened:
-        return
-    allowed = [place.expanduser().resolve() for place in (*map(Path, _SYSTEM), cache_folder(), *paths)]
-    for path in map(Path, sorted(opened)):
-        known = any(place.is_relative_to(folder) for place in (path, path.resolve()) for folder in allowed)
-        if path.suffix not in _CODE and path.is_file() and not (known or is_installed(path)):
-            raise ValueError(
-                f"the seeding rule {rule!r} reads {path}, which none of its options names, so a comparison would keep "
-                f'its old results when the file changes; declare it: weights: Path = Path("{path}")'
-            )

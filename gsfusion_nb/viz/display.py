@@ -162,8 +162,6 @@ class Stroke:
     """(u, v) where the button was pressed, pixels of the image."""
     now: tuple[float | int, float | int]
     """(u, v) of the pointer."""
-    shift: bool = False
-    """Whether the shift key was held at the start."""
 
     @property
     def moved(self) -> tuple[float | int, float | int]:
@@ -193,7 +191,7 @@ class ClickImage(anywidget.AnyWidget):
     width = synced(t.Int(320))
     alt = synced(t.Unicode("picture"))
     touch = synced(t.Enum(("", "stroke"), ""))
-    stroke = synced(t.List(t.Float(), [0.0] * 6, minlen=6, maxlen=6))
+    stroke = synced(t.List(t.Float(), [0.0] * 5, minlen=5, maxlen=5))
 
     def show(self, picture: AnyImage) -> None:
         """Show another picture."""
@@ -205,7 +203,7 @@ class ClickImage(anywidget.AnyWidget):
         """Call ``act`` with the newest state of each drag."""
 
         def touched(_change: Any) -> None:
-            number, shift, u0, v0, u, v = self.stroke
-            act(Stroke(number=int(number), start=(u0, v0), now=(u, v), shift=bool(shift)))
+            number, u0, v0, u, v = self.stroke
+            act(Stroke(number=int(number), start=(u0, v0), now=(u, v)))
 
         self.observe(touched, "stroke")

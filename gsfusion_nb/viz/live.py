@@ -5,8 +5,6 @@ import html
 import math
 import threading
 import time
-import traceback
-import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -19,17 +17,13 @@ from ..runs import MappingRun
 from ..types import Frame
 from .display import Bundle, ClickImage, LostNotice, with_picture
 from .map_pictures import captions_of, columns_for, live_panels, mosaic
-from .player import Player, Scrubber, player_buttons
+from .player import MIN_INTERVAL_S, Player, Scrubber, error_html, player_buttons, take_the_stage
 from .splat_viewer import SplatViewer
 
-MIN_INTERVAL_S = 0.1
-"""Pictures are redrawn at most ten times a second."""
 DRAWING_REST = 3.0
 """After drawing, nothing is drawn for this many times as long: drawing takes a quarter of the time at most."""
 LOOKS_BACK = 40
 """The slider goes back through at least this many steps, spread evenly; and through all that were drawn."""
-
-_on_stage: "weakref.ref[LiveMapper] | None" = None
 
 
 class LiveView:
@@ -152,7 +146,7 @@ class LiveView:
         with self._writing:
             words = [f"<b>{self.player.state}</b>", *self._words()]
             self.status.value = " · ".join(word for word in words if word)
-            self.error.value = _as_html(self.player.error)
+            self.error.value = error_html(self.player.error)
 
 
 class LiveLoop(LiveView):
@@ -217,10 +211,7 @@ class LiveMapper(LiveView):
     """
 
     def __init__(self, run: MappingRun, *, panel_width: int = 320):
-        global _on_stage
-        if _on_stage is not None and (earlier := _on_stage()) is not None:
-            earlier.player.stop()
-        _on_stage = weakref.ref(self)
+        take_the_stage(self)
         self.run = run
         self.viewer: SplatViewer | None = None
         """The splat viewer made by ``splats``; it is updated together with the panels."""
@@ -229,6 +220,10 @@ class LiveMapper(LiveView):
         n, captions = len(run.sequence.mapping), captions_of(run.mapper)
         super().__init__(run.online, captions, name="live", what="frame", n_steps=n, width=panel_width)
         self._write_status()
+
+    def stop(self) -> None:
+        """Stop after the current frame."""
+        self.player.stop()
 
     def splats(self, **options: Any) -> SplatViewer:
         """A splat viewer that is updated while the map grows; ``options`` are those of ``SplatViewer``.
@@ -295,12 +290,3 @@ class LiveMapper(LiveView):
             f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB" if measured else "",
             f"{len(recent) / max(sum(s.total_seconds for s in recent), 1e-9):.1f} frames/s",
         ]
-
-
-def _as_html(error: BaseException | None) -> str:
-    """The error as HTML, with its traceback folded below."""
-    if error is None:
-        return ""
-    trace = html.escape("".join(traceback.format_exception(error)))
-    headline = html.escape(f"{type(error).__name__}: {error}")
-    return f'<details style="color:#b3261e"><summary>{headline}</summary><pre>{trace}</pre></details>'

@@ -1,10 +1,13 @@
 """A thread that runs an iterator and can be paused, stepped and stopped while other cells run."""
 
 import contextvars
+import html
 import logging
 import math
 import threading
 import time
+import traceback
+import weakref
 from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
@@ -12,6 +15,8 @@ import torch
 
 log = logging.getLogger(__name__)
 
+MIN_INTERVAL_S = 0.1
+"""What is shown of the work is renewed at most ten times a second."""
 State = Literal["ready", "running", "paused", "stopped", "finished", "failed"]
 
 
@@ -201,6 +206,25 @@ class Player:
                 self._on_rest()
             except Exception:  # the first error is the one to show
                 log.exception("the error could not be shown")
+
+
+def error_html(error: BaseException | None) -> str:
+    """The error as HTML, with its traceback folded below."""
+    if error is None:
+        return ""
+    trace = html.escape("".join(traceback.format_exception(error)))
+    headline = html.escape(f"{type(error).__name__}: {error}")
+    return f'<details style="color:#b3261e"><summary>{headline}</summary><pre>{trace}</pre></details>'
+
+
+_ON_STAGE: "weakref.WeakValueDictionary[type, Any]" = weakref.WeakValueDictionary()
+
+
+def take_the_stage(new: Any) -> None:
+    """Stop what took the stage before of the same class: a cell that is run twice leaves nothing going unseen."""
+    if (earlier := _ON_STAGE.get(type(new))) is not None:
+        earlier.stop()
+    _ON_STAGE[type(new)] = new
 
 
 _ICONS = {"Start": "play", "Pause": "pause", "Step": "step-forward", "Stop": "stop"}

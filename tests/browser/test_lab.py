@@ -187,10 +187,7 @@ def test_the_live_table_in_a_notebook(lab):
     page.locator(".gsnb-lab-start").click()
     lab.wait_for(lambda: "finished" in status.inner_text(), "the end", 300)
     assert table.locator("tr").count() == 3
-    page.get_by_label("Pictures of").select_option("uniform")
-    page.locator(".gsnb-lab-pictures img").first.wait_for(timeout=20_000)
     lab.screenshot(page.locator(".gsnb-lab").first, "lab_live_table")
-    assert lab.value(page, "live.rule.value") == "uniform"
     lab.run(page, "live.close()")
     page.close()
     assert lab.errors == []

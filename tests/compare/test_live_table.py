@@ -52,15 +52,6 @@ def test_rows_appear_as_runs_end(live):
     assert repr(live).startswith("LiveTable(4 of 4 runs, 1 failed: TypeError: seeding rule 'dense' has no options")
 
 
-def test_the_pictures_of_a_rule(live):
-    live.run_sync()
-    live.rule.value = "quadtree"
-    assert live.pictures.value.count("<img") == 6
-    assert 'alt="View 2 as rendered by quadtree"' in live.pictures.value
-    live.rule.value = ""
-    assert live.pictures.value == ""
-
-
 def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
     live = LiveTable(specs, tmp_path, store=ResultStore(tmp_path / "cache"))  # nothing is known yet
     live.start()

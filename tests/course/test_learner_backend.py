@@ -39,7 +39,7 @@ def test_a_function_that_passes_is_kept_and_runs_in_the_library():
         return l1_gradient(rgb, target)
 
     assert check.l1_gradient(counted)
-    assert mine.kept() == {"l1_gradient": counted}
+    assert {"l1_gradient": counted} == mine.KEPT
     calls.clear()
     assert torch.equal(l1_vjp(*PICTURES), l1_gradient(*PICTURES))
     assert not calls
@@ -51,7 +51,7 @@ def test_a_function_that_passes_is_kept_and_runs_in_the_library():
 
 def test_a_function_that_fails_the_check_is_not_kept():
     assert not check.l1_gradient(lambda rgb, target: rgb)
-    assert not mine.kept()
+    assert not mine.KEPT
 
 
 def test_the_newest_accepted_function_counts_and_can_be_forgotten():
@@ -268,9 +268,9 @@ def test_an_accepted_function_is_there_in_the_next_chapter(monkeypatch):
     exec(compile(NOTEBOOK, "<cell>", "exec"), namespace)
     assert check.l1_gradient(namespace["l1_gradient"])
     mine.forget()
-    assert not mine.kept()
+    assert not mine.KEPT
     mine.load()
-    assert list(mine.kept()) == ["l1_gradient"]
+    assert list(mine.KEPT) == ["l1_gradient"]
     with use_backend("mine"):
         assert l1_vjp(*PICTURES).sum() == 1
     assert row("l1_vjp").whose == "yours"
@@ -278,7 +278,7 @@ def test_an_accepted_function_is_there_in_the_next_chapter(monkeypatch):
 
 def test_the_solutions_can_stand_in_and_the_board_says_so():
     mine.load(missing="solution")
-    assert set(mine.kept()) == set(exercises())
+    assert set(mine.KEPT) == set(exercises())
     assert row("blend").whose == "solution"
     assert "blend" not in mine.board().yours
 
@@ -312,6 +312,6 @@ def test_progress_written_by_hand_keeps_no_function(monkeypatch, tmp_path):
     progress.note("exercises", "l1_gradient", tries=1, passed=progress.now())
     progress.note("functions", "l1_gradient", function="l1_gradient", source=wrong, kept=progress.now())
     mine.load()
-    assert "l1_gradient" not in mine.kept()
+    assert "l1_gradient" not in mine.KEPT
     with use_backend("mine"):
         l1_vjp(torch.ones(2, 2, 3), torch.zeros(2, 2, 3))

@@ -9,8 +9,8 @@ from gsfusion_nb.course import predictions as module
 @pytest.fixture(autouse=True)
 def _own_file(tmp_path, monkeypatch):
     monkeypatch.setenv("GSNB_COURSE_FILE", str(tmp_path / "course.json"))
-    monkeypatch.setattr(module, "_unkept", {})
     monkeypatch.setattr(progress, "_said", set())
+    monkeypatch.setattr(module, "_unkept", {})
 
 
 def test_a_choice_is_recorded_and_compared():

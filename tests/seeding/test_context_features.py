@@ -40,15 +40,14 @@ def with_map(xyz_W: torch.Tensor, **more) -> SeedContext:
     return SeedContext(frame(index=7), gaussians=model, **more)
 
 
-@pytest.mark.parametrize("method", ["orb", "shi_tomasi"])
-def test_corners_of_a_square(method):
-    found = square().corners(50, method)
+def test_corners_of_a_square():
+    found = square().corners(50)
     true = torch.tensor([[10.0, 8.0], [30.0, 8.0], [10.0, 22.0], [30.0, 22.0]])
     assert (torch.cdist(true, found).min(dim=1).values < 2.5).all()
     assert (torch.cdist(found, true).min(dim=1).values < 8.0).all()
     assert ((found - 0.5) % 1 == 0).all()
-    assert len(square().corners(1, method)) <= 1
-    assert len(SeedContext(frame()).corners(50, method)) == 0
+    assert len(square().corners(1)) <= 1
+    assert len(SeedContext(frame()).corners(50)) == 0
 
 
 def test_nearest_neighbours_and_the_usual_size():

@@ -167,7 +167,7 @@ CASES: dict[str, Case] = {
 class WithCorners(SeedContext):
     """A context whose corners are every 10th pixel."""
 
-    def corners(self, count: int = 1000, method: str = "orb") -> torch.Tensor:
+    def corners(self, count: int = 1000) -> torch.Tensor:
         u, v = torch.meshgrid(torch.arange(2.5, W, 10), torch.arange(4.5, H, 10), indexing="xy")
         return torch.stack([u, v], dim=-1).reshape(-1, 2)
 

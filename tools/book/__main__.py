@@ -13,7 +13,7 @@ from pathlib import Path
 
 from quiz import Question, bank, by_chapter
 
-from .assemble import ARCHIVE, Assembly, Settings, read_settings
+from .assemble import ARCHIVE, Assembly
 from .chapters import places_of
 
 log = logging.getLogger(__name__)
@@ -27,13 +27,13 @@ def missing() -> list[str]:
     return [name for name in NEEDED if find_spec(name) is None]
 
 
-def build(root: Path, out: Path, settings: Settings, quiz: Mapping[int, Sequence[Question]]) -> None:
+def build(root: Path, out: Path, files: str, quiz: Mapping[int, Sequence[Question]]) -> None:
     """Build the book.
 
     Args:
         root: The project.
         out: The site; replaced. Work is kept in the folder ``.OUT_work`` beside it.
-        settings: Of the book.
+        files: Address below which a repository shows its files, with a slash at its end; "" without a repository.
         quiz: Questions by chapter.
 
     Raises:
@@ -43,9 +43,9 @@ def build(root: Path, out: Path, settings: Settings, quiz: Mapping[int, Sequence
         raise RuntimeError(f"the book needs {', '.join(lacking)}; install them with: pip install 'gsfusion-nb[book]'")
     work = out.parent / f".{out.name}_work"
     pages, extra, static = work / "pages", work / "extra", work / "static"
-    Assembly(places_of(root, settings.files), pages, extra, quiz).write()
+    Assembly(places_of(root, files), pages, extra, quiz).write()
     _write_static(static)
-    _sphinx(root, pages, extra, static, work / "doctrees", out, settings)
+    _sphinx(root, pages, extra, static, work / "doctrees", out)
     shutil.make_archive(str(work / "book"), "zip", out)
     shutil.move(work / "book.zip", out / ARCHIVE)
 
@@ -63,7 +63,7 @@ def _write_static(folder: Path) -> None:
         (shutil.copytree if (mathjax / name).is_dir() else shutil.copyfile)(mathjax / name, target)
 
 
-def _sphinx(root: Path, pages: Path, extra: Path, static: Path, doctrees: Path, out: Path, settings: Settings) -> None:
+def _sphinx(root: Path, pages: Path, extra: Path, static: Path, doctrees: Path, out: Path) -> None:
     from gsfusion_nb import __version__
 
     shutil.rmtree(out, ignore_errors=True)
@@ -73,7 +73,7 @@ def _sphinx(root: Path, pages: Path, extra: Path, static: Path, doctrees: Path, 
         "GSNB_BOOK_STATIC": str(static.resolve()),
         "GSNB_BOOK_EXTRA": str(extra.resolve()),
     }
-    options = [f"project={settings.title}", f"release={__version__}", f"html_title={settings.title}"]
+    options = ["project=gsfusion_nb", f"release={__version__}", "html_title=gsfusion_nb"]
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(doctrees)]
     command += ["-c", str(root / "docs/book")]
     command += [part for option in options for part in ("-D", option)]
@@ -99,8 +99,10 @@ def main(arguments: list[str] | None = None) -> int:
     if options.installed:
         return 1 if missing() else 0
     try:
-        settings = read_settings(_ROOT / "docs/book/book.toml", options.repository)
-        build(_ROOT, options.out, settings, by_chapter(bank()))
+        if options.repository and not options.repository.startswith("http"):
+            raise ValueError(f"expected an address such as https://github.com/OWNER/NAME, got {options.repository!r}")
+        files = f"{options.repository.rstrip('/')}/blob/HEAD/" if options.repository else ""
+        build(_ROOT, options.out, files, by_chapter(bank()))
     except (RuntimeError, ValueError, OSError) as e:
         logging.error("%s", e)
         return 1

@@ -5,11 +5,8 @@ import dataclasses
 import importlib
 import inspect
 import posixpath
-import re
 import shutil
-import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
@@ -19,34 +16,6 @@ from gsfusion_nb.course.course import TITLES
 from gsfusion_nb.files import read_object
 
 from .chapters import Chapter, Places, in_the_book, raw
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """Settings of the book."""
-
-    title: str = "gsfusion_nb"
-    repository: str = ""
-    """Address of the project's repository without a slash at its end; "" leaves all links to it out."""
-    branch: str = "main"
-    """Branch that the links lead to."""
-
-    def __post_init__(self) -> None:
-        if self.repository and not re.fullmatch(r"https?://[^\s]+[^\s/]", self.repository):
-            raise ValueError(
-                f"repository must be an address such as https://github.com/OWNER/NAME, got {self.repository!r}"
-            )
-
-    @property
-    def files(self) -> str:
-        """Address below which the repository shows its files, with a slash at its end; "" without a repository."""
-        return f"{self.repository}/blob/{self.branch}/" if self.repository else ""
-
-
-def read_settings(path: Path, repository: str = "") -> Settings:
-    """Settings from a file; ``repository`` takes the place of the file's address, if given."""
-    given = tomllib.loads(path.read_text(encoding="utf-8"))
-    return Settings(**given | ({"repository": repository} if repository else {}))
 
 
 def opening_bar(notebook: str) -> str:

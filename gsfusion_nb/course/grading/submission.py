@@ -45,22 +45,21 @@ class Code:
 def find_submissions(paths: Sequence[Path]) -> list[Submission]:
     """The submissions, by student.
 
-    One folder is that of a class: a file in it belongs to the student whom its sub-folder names (in nbgrader's tree the
-    folder under ``submitted``), else its own name. Of several folders, each belongs to the student whom its name says.
-    A file with the name of a chapter (``02_tsdf_fusion.ipynb``) belongs to whom its folder names.
+    One folder is that of a class: a file in it belongs to the student whom its sub-folder names, else its own name. Of
+    several folders, each belongs to the student whom its name says. A file with the name of a chapter
+    (``02_tsdf_fusion.ipynb``) belongs to whom its folder names.
 
     Raises:
         ValueError: there is nothing at a path, or no notebook and no .py file in it.
     """
     files: dict[str, list[Path]] = {}
     for path in paths:
-        root = path / "submitted" if (path / "submitted").is_dir() else path
-        found = [path] if path.is_file() else sorted(f for kind in ("*.ipynb", "*.py") for f in root.rglob(kind))
+        found = [path] if path.is_file() else sorted(f for kind in ("*.ipynb", "*.py") for f in path.rglob(kind))
         found = [file for file in found if not any(part.startswith((".", "__")) for part in file.parts)]
         if not found:
             raise ValueError(f"there is no notebook and no .py file at {path}")
         for file in found:
-            inner = file.relative_to(root).parts if path.is_dir() else ()
+            inner = file.relative_to(path).parts if path.is_dir() else ()
             own = file.resolve().parent.name if _OF_CHAPTER.match(file.name) else file.stem
             student = path.name if inner and len(paths) > 1 else inner[0] if len(inner) > 1 else own
             files.setdefault(student, []).append(file)

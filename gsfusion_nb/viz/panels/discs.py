@@ -17,6 +17,7 @@ from ...gaussians.surfels import OPAQUE
 from ...geometry import quaternion
 from ...geometry.spherical_harmonics import rgb_to_sh_dc
 from ...render import SurfaceView, view_surface
+from ...seeding.rules.rtg_slam import adding_masks
 from ...types import Camera, Frame, GaussianParams
 from ..map_pictures import CAUSES
 from .panel import Choice, Drawn, Number, Panel, Slider
@@ -187,18 +188,18 @@ def _truth(camera: Camera, lean: float, planes: tuple[Float[Tensor, "H W"], ...]
     return torch.where(on_board, torch.minimum(board, wall), wall)
 
 
-def adding_masks(
-    view: SurfaceView, frame: Frame, *, min_transmittance: float, depth_error_m: float, colour_error: float
+def masks_by_cause(
+    view: SurfaceView, frame: Frame, min_transmittance: float, depth_error_m: float, colour_error: float
 ) -> dict[int, Tensor]:
     """The pixels where Gaussians are added, by cause (RTG-SLAM Eq. 6), keys as in ``CAUSES``; no pixel is in two.
 
     A pixel without a disc has no depth error, as in the library's default.
     """
-    known = frame.depth_m > 0
-    new = known & (view.transmittance > min_transmittance)
-    depth = known & ~new & (view.depth_m > 0) & ((view.depth_m - frame.depth_m).abs() > depth_error_m)
-    colour = known & ~new & ~depth & ((view.rgb - frame.rgb).abs().mean(-1) > colour_error)
-    return {1: new, 2: depth, 3: colour}
+    seen_m = torch.where(view.depth_m > 0, view.depth_m, frame.depth_m)
+    limits = (min_transmittance, depth_error_m, colour_error)
+    surface, colour = adding_masks(view.transmittance, seen_m, frame.depth_m, view.rgb, frame.rgb, *limits)
+    unseen = view.transmittance > min_transmittance
+    return {1: surface & unseen, 2: surface & ~unseen, 3: colour}
 
 
 def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
@@ -212,9 +213,7 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
     photo, rendered = to_uint8(frame.colour), to_uint8(view.rgb)
 
     def draw(*, min_transmittance: float, depth_error_m: float, colour_error: float) -> Drawn:
-        masks = adding_masks(
-            view, frame, min_transmittance=min_transmittance, depth_error_m=depth_error_m, colour_error=colour_error
-        )
+        masks = masks_by_cause(view, frame, min_transmittance, depth_error_m, colour_error)
         picture = np.repeat(0.25 * 255 + 0.5 * photo.mean(-1, keepdims=True), 3, axis=-1)
         count, rows = Markup('<span class="gsnb-adding-{}">{:,} pixels</span>'), []
         for cause, mask in masks.items():

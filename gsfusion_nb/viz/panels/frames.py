@@ -102,7 +102,7 @@ def point_panel(frame: Frame) -> Panel:
     """A pixel of ``frame`` as numbers, and a camera that moves away from where the frame was taken.
 
     Click a pixel of the frame at the left: its depth, its point, and where that point is in the other view. Drag the
-    view at the right to turn the camera; with the shift key, to move it. Or use the sliders.
+    view at the right to turn the camera. Or use the sliders.
     """
     near_m, far_m = depth_range_m(frame.depth_m)
     colours = functools.cache(lambda show: point_colours(frame, show))
@@ -126,12 +126,7 @@ def point_panel(frame: Frame) -> Panel:
     def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, Number]:
         if stroke.start[0] < frame.camera.width:
             return touched_pixel(stroke, frame.camera)
-        du, dv = stroke.moved
-        if stroke.shift:
-            return {
-                "right_m": values["right_m"] - du * near_m / frame.camera.fx,
-                "forward_m": values["forward_m"] - dv / 100,
-            }
+        du, _ = stroke.moved
         return {"turn_deg": values["turn_deg"] - math.degrees(du / frame.camera.fx)}
 
     controls = {

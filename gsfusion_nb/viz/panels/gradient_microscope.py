@@ -14,12 +14,13 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import pad
 
 from ...drawing.curves import figure_picture, image_figure, rgb_of
 from ...drawing.pictures import AnyImage, Picture, side_by_side, to_uint8
 from ...optim import l1_vjp
 from ...render import composite, composite_vjp, tile_intersections
-from ...render.constants import ALPHA_MAX
+from ...render.composite import blend_vjp
 from ...types import Camera, GaussianParams
 from . import pixel_stack as stacks
 from .panel import Choice, Drawn, Panel, pixel_sliders, touched_pixel
@@ -32,20 +33,16 @@ FIELD_WORK = 150_000
 """Most pairs of pixel and Gaussian that are evaluated; beyond, only every n-th pixel is."""
 
 
-def blend_vjp(
+def gradient_terms(
     splats: Splats, blend: Blend, v_colour: Float[Tensor, "P 3"]
 ) -> tuple[Float[Tensor, "P K"], Float[Tensor, "P K 2"]]:
     """dL/dalpha_k and dL/d(u_k, v_k) of every Gaussian from every pixel, not summed."""
-    alpha, T, w = blend.alpha, blend.transmittance[:, :-1], blend.weight
-    c_dot_v = v_colour @ splats.rgb[blend.row].T
-    wcv = w * c_dot_v
-    S = wcv.flip(1).cumsum(1).flip(1) - wcv
-    v_alpha = T * c_dot_v - S / (1.0 - alpha)
-    v_alpha = torch.where((alpha > 0) & (alpha < ALPHA_MAX), v_alpha, 0.0)  # cut and clamp have slope zero
+    rgb, v_C = (pad(colour, (0, 2)) for colour in (splats.rgb[blend.row], v_colour))  # neither depth nor opacity
+    v_alpha = blend_vjp(blend.alpha.T, rgb, v_C)[0].T
     A, B, C = splats.projection.conic[blend.row].unbind(-1)
     dx, dy = blend.offset_px.unbind(-1)
     slope = torch.stack([A * dx + B * dy, B * dx + C * dy], -1)
-    return v_alpha, (v_alpha * alpha)[..., None] * slope
+    return v_alpha, (v_alpha * blend.alpha)[..., None] * slope
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,7 +66,7 @@ def pixel_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], u: int, v: int
     blend = stacks.blend_at(splats, splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]))
     stack = stacks.pixel_stack(splats, u, v, blend)
     v_C = v_rgb[v, u].to(stack.rgb)
-    v_alpha, v_uv = blend_vjp(splats, blend, v_C[None])
+    v_alpha, v_uv = gradient_terms(splats, blend, v_C[None])
     return PixelGradient(
         stack=stack, v_rgb=stack.weight[:, None] * v_C, v_alpha=v_alpha[0],
         v_opacity=v_alpha[0] * stack.alpha / splats.projection.opacity[stack.row], v_uv=v_uv[0],
@@ -119,7 +116,7 @@ def gaussian_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], row: int) -
     uv = torch.stack([u, v], -1).to(p.uv)
     blend = stacks.blend_at(splats, uv.view(-1, 2))
     v_C = v_rgb[v.long(), u.long()].view(-1, 3).to(p.uv)
-    v_alpha, v_uv = blend_vjp(splats, blend, v_C)
+    v_alpha, v_uv = gradient_terms(splats, blend, v_C)
     mine = (blend.row == row).to(p.uv)  # all zero if no pixel of the grid sees it
     shape = uv.shape[:2]
     return GaussianGradient(

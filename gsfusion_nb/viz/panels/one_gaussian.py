@@ -171,8 +171,7 @@ _BALL_PX = 280
 def one_gaussian_panel(camera: Camera, *, zoom: int = 6) -> Panel:
     """Move, turn and stretch one Gaussian in front of a camera of few pixels (``projection_picture``).
 
-    Drag its middle, or the end of an axis; with the shift key, up and down move it farther away and nearer. Or use the
-    sliders.
+    Drag its middle, or the end of an axis; or use the sliders.
     """
 
     def draw(**values: Any) -> Drawn:
@@ -197,23 +196,20 @@ def one_gaussian_panel(camera: Camera, *, zoom: int = 6) -> Panel:
 
 
 def gaussian_handles(values: Mapping[str, Any], camera: Camera, zoom: int) -> dict[str, Point]:
-    """Middle and ends of the two axes in the enlarged picture, pixels: the axes as EWA projects them."""
+    """Middle and ends of the two axes in the enlarged picture, pixels; of a leaning axis without the perspective."""
     x, y, z = (float(values[k]) for k in ("x_m", "y_m", "z_m"))
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    turn, lean = math.radians(values["turn_deg"]), math.radians(values["lean_deg"])
-    long, thick = values["long_m"], values["thick_m"]
-    nearer = math.sin(lean) / z  # the end of a leaning axis is nearer to the camera
-    ahead = (math.cos(lean) * math.cos(turn) + nearer * x, math.cos(lean) * math.sin(turn) + nearer * y)
-    ends = {"long": (long * ahead[0], long * ahead[1]), "thick": (-thick * math.sin(turn), thick * math.cos(turn))}
-    handles = {name: (u + camera.fx / z * dx, v + camera.fy / z * dy) for name, (dx, dy) in ends.items()}
-    return {name: (zoom * a, zoom * b) for name, (a, b) in {**handles, "middle": (u, v)}.items()}
+    turn, thick = math.radians(values["turn_deg"]), values["thick_m"]
+    long = values["long_m"] * math.cos(math.radians(values["lean_deg"]))
+    ends = {"long": (long, 0.0), "thick": (0.0, thick), "middle": (0.0, 0.0)}
+    c, s = math.cos(turn) / z, math.sin(turn) / z
+    places = {name: (u + camera.fx * (c * a - s * b), v + camera.fy * (s * a + c * b)) for name, (a, b) in ends.items()}
+    return {name: (zoom * a, zoom * b) for name, (a, b) in places.items()}
 
 
 def touch_gaussian(stroke: Stroke, values: Mapping[str, Any], camera: Camera, zoom: int) -> dict[str, float]:
     """What a drag changes: the place, or the length of an axis and for the long one its direction too."""
     (du, dv), z = stroke.moved, values["z_m"]
-    if stroke.shift:
-        return {"z_m": z * math.exp(-dv / 150)}
     handles = gaussian_handles(values, camera, zoom)
     held = nearest_handle(handles, stroke.start)
     if held is None:
@@ -222,22 +218,11 @@ def touch_gaussian(stroke: Stroke, values: Mapping[str, Any], camera: Camera, zo
         return {"x_m": values["x_m"] + du * z / camera.fx / zoom, "y_m": values["y_m"] + dv * z / camera.fy / zoom}
     (u, v), (mid_u, mid_v) = handles[held], handles["middle"]
     dx, dy = (u + du - mid_u) * z / camera.fx / zoom, (v + dv - mid_v) * z / camera.fy / zoom
-    turn, lean = math.radians(values["turn_deg"]), math.radians(values["lean_deg"])
     if held == "thick":
+        turn = math.radians(values["turn_deg"])
         return {"thick_m": abs(dy * math.cos(turn) - dx * math.sin(turn))}
-    return _long_axis((dx, dy), lean, (math.sin(lean) * values["x_m"] / z, math.sin(lean) * values["y_m"] / z))
-
-
-def _long_axis(end: Point, lean: float, nearer: Point) -> dict[str, float]:
-    """Length l and turn t of the axis that ends there: end = l (cos(lean) (cos t, sin t) + nearer)."""
-    a = nearer[0] ** 2 + nearer[1] ** 2 - math.cos(lean) ** 2
-    b, c = -2 * (end[0] * nearer[0] + end[1] * nearer[1]), end[0] ** 2 + end[1] ** 2
-    inside = b * b - 4 * a * c
-    if a >= -1e-6 or inside < 0:  # the axis points along the viewing ray: its end does not say how long it is
-        return {}
-    long = (-b - math.sqrt(inside)) / (2 * a)
-    turn = math.atan2(end[1] - long * nearer[1], end[0] - long * nearer[0])
-    return {"long_m": long, "turn_deg": math.degrees(turn)}
+    shortened = max(math.cos(math.radians(values["lean_deg"])), 0.1)
+    return {"long_m": math.hypot(dx, dy) / shortened, "turn_deg": math.degrees(math.atan2(dy, dx))}
 
 
 def sh_ball_panel() -> Panel:

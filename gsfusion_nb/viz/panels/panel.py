@@ -118,10 +118,10 @@ class Panel:
         self.redraw()
         return self
 
-    def drag(self, start: tuple[Number, Number], *way: tuple[Number, Number], shift: bool = False) -> "Panel":
+    def drag(self, start: tuple[Number, Number], *way: tuple[Number, Number]) -> "Panel":
         """Drag the picture from a point over others, (u, v) in pixels of ``picture()``; with only a start, a click."""
         for now in (start, *way):
-            self._touched(Stroke(number=self._stroke + (now is start), start=start, now=now, shift=shift))
+            self._touched(Stroke(number=self._stroke + (now is start), start=start, now=now))
         return self
 
     def press(self, label: str) -> "Panel":

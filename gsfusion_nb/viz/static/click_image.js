@@ -57,7 +57,7 @@ class Picture {
     this.image.focus({ preventScroll: true });
     this.image.setPointerCapture(event.pointerId);
     this.held = event.pointerId;
-    this.begin(this.place(event), event.shiftKey);
+    this.begin(this.place(event));
   }
 
   move(event) {
@@ -72,14 +72,14 @@ class Picture {
     event.stopPropagation();
     const [columns, rows] = this.model.get("size");
     const from = this.at ?? [columns / 2, rows / 2];
-    if (!this.keys || performance.now() - this.keys > REST_MS) this.begin(from, event.shiftKey);
+    if (!this.keys || performance.now() - this.keys > REST_MS) this.begin(from);
     this.drag([this.at[0] + KEY_PX * step[0], this.at[1] + KEY_PX * step[1]]);
     this.keys = performance.now();
   }
 
-  begin(place, shift) {
+  begin(place) {
     this.keys = 0;
-    this.start = [this.model.get("stroke")[0] + 1, Number(shift), ...place];
+    this.start = [this.model.get("stroke")[0] + 1, ...place];
     this.drag(place);
   }
 

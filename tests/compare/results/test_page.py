@@ -105,9 +105,9 @@ def test_a_page_without_results_or_pictures(made_run, tmp_path):
 
 def test_the_error_is_that_of_the_pictures(made_results, tmp_path):
     result = made_results(tmp_path)[0]
-    view = next(views_of(result, tmp_path))
-    assert view.name == "4"
-    assert view.error.shape == view.truth.shape == (48, 64, 3)
+    frame, view = next(views_of(result, tmp_path))
+    assert frame == "4"
+    assert view["error"].shape == view["truth"].shape == (48, 64, 3)
     (tmp_path / result.pictures["held_out 4"]).write_bytes(b"damaged")
-    cv2.imwrite(str(tmp_path / result.pictures["held_out 9"]), view.render[:20])  # of another size
+    cv2.imwrite(str(tmp_path / result.pictures["held_out 9"]), view["render"][:20])  # of another size
     assert list(views_of(result, tmp_path)) == []

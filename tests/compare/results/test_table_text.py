@@ -4,7 +4,7 @@ import pytest
 
 from gsfusion_nb.compare import Budget
 from gsfusion_nb.compare.statistics import group_runs
-from gsfusion_nb.compare.tables import all_tables, as_latex, as_markdown, failures, scene_table
+from gsfusion_nb.compare.tables import all_tables, as_markdown, failures, scene_table
 
 
 @pytest.fixture(scope="module")
@@ -63,9 +63,3 @@ def test_the_scenes_as_columns(made_run):
     by_b = all_tables(runs, reference="b")[0]
     assert by_b.rows[0].cells[6].text == "-1.05 (-1.26 to -0.84)"
     assert [row.label for row in by_b.rows] == [row.label for row in table.rows]
-
-
-def test_latex(equal):
-    lines = as_latex(scene_table(group_runs(equal))).splitlines()
-    assert r"c|d & \textbf{25.00 $\pm$ 0.00} & \textbf{27.00 $\pm$ 0.00} & 4,100 $\pm$ 0 & 200 $\pm$ 0 \\" in lines
-    assert any(line.startswith(r"a\_b & 24.10") for line in lines)

@@ -6,9 +6,9 @@ import torch
 from gsfusion_nb.render import SurfaceView
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.viz.panels.discs import (
-    adding_masks,
     disc_panel,
     disc_scene,
+    masks_by_cause,
 )
 
 
@@ -51,5 +51,6 @@ def scene():
 
 
 def test_masks_by_hand(scene):
-    masks = adding_masks(*scene, min_transmittance=0.5, depth_error_m=0.1, colour_error=0.1)
+    view, frame = scene
+    masks = masks_by_cause(view, frame, 0.5, 0.1, 0.1)
     assert {cause: mask.nonzero()[:, 1].tolist() for cause, mask in masks.items()} == {1: [1, 4], 2: [2], 3: [3]}

@@ -82,7 +82,7 @@ def test_every_control_changes_the_picture(make):
 
 
 def test_the_gaussian_is_dragged_by_its_middle_and_by_the_ends_of_its_axes():
-    panel = one_gaussian_panel(CAMERA, zoom=6).set(x_m=0.1, z_m=1.5, long_m=0.3, turn_deg=30, lean_deg=20)
+    panel = one_gaussian_panel(CAMERA, zoom=6).set(x_m=0.1, z_m=1.5, long_m=0.3, turn_deg=30)
     splat = projection_picture(_row_of(panel.values), CAMERA)[1].projection
     handles = gaussian_handles(panel.values, CAMERA, 6)
     assert handles["middle"] == pytest.approx((6 * splat.uv[0]).tolist(), abs=1e-3)
@@ -93,7 +93,7 @@ def test_the_gaussian_is_dragged_by_its_middle_and_by_the_ends_of_its_axes():
     assert float(thin.abs().max()) < 1.0
     panel.drag(handles["middle"], (handles["middle"][0] + 6 * 52 * 0.2 / 1.5, handles["middle"][1]))
     assert panel.values["x_m"] == pytest.approx(0.3)
-    u, v = gaussian_handles(panel.values, CAMERA, 6)["long"]
+    u, v = gaussian_handles(panel.set(lean_deg=20).values, CAMERA, 6)["long"]
     panel.drag((u, v), (u + 12, v + 40))
     after = gaussian_handles(panel.values, CAMERA, 6)["long"]
     assert after == pytest.approx((u + 12, v + 40), abs=3.5)  # the handle stays under the pointer, up to a slider step
@@ -101,10 +101,6 @@ def test_the_gaussian_is_dragged_by_its_middle_and_by_the_ends_of_its_axes():
     (u, v), (mid_u, mid_v) = (gaussian_handles(panel.values, CAMERA, 6)[k] for k in ("thick", "middle"))
     panel.drag((u, v), (2 * u - mid_u, 2 * v - mid_v))
     assert panel.values["thick_m"] == pytest.approx(2 * thick, abs=0.003)
-    panel.drag((5.0, 5.0), (5.0, -95.0), shift=True)
-    assert panel.values["z_m"] == pytest.approx(2.9)  # 1.5 exp(100 / 150)
-    panel.set(lean_deg=90).drag(gaussian_handles(panel.values, CAMERA, 6)["long"], (100.0, 100.0))
-    assert panel.values["lean_deg"] == 90  # an axis along the viewing ray cannot be pulled
 
 
 def _row_of(values):
