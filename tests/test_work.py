@@ -7,8 +7,10 @@ import torch
 
 from gsfusion_nb import work
 from gsfusion_nb.config import TsdfConfig, gps_slam, gsfusion, replace, rtg_slam
+from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.mapping import make_mapper
+from gsfusion_nb.runs import estimate_memory
 from gsfusion_nb.runs.outputs import hash_of
 from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.work import MAP_MEMORY
@@ -83,3 +85,21 @@ def test_a_full_disk_is_an_error_before_anything_changes(in_files, monkeypatch):
 def test_a_limit_that_is_none_is_refused(gb):
     with pytest.raises(ValueError, match=str(gb)):
         MAP_MEMORY.limit(gb)
+
+
+def test_the_memory_of_a_map_is_known_before_it_is_made():
+    config = replace(gsfusion("room"), data__width=64, data__height=48)
+    sequence = open_sequence("room", data=config.data, n_frames=30)
+    needed, mapper = estimate_memory(sequence, config), make_mapper(config)
+    for i in range(len(sequence.mapping)):
+        mapper.step(sequence.mapping[i])
+    assert needed["voxel blocks"] == pytest.approx(mapper.volume.memory_bytes / 1e9, rel=1e-6)
+    n_bytes = sum(column.nbytes for column in mapper.gaussians.columns.values())
+    assert needed["Gaussians"] == pytest.approx(n_bytes / 1e9, rel=0.5)
+
+
+def test_without_poses_the_memory_is_not_known(monkeypatch):
+    sequence = open_sequence("room", n_frames=4)
+    monkeypatch.setattr(RoomSequence, "has_poses", False, raising=False)
+    with pytest.raises(SequenceError):
+        estimate_memory(sequence, gsfusion("room"))

@@ -46,6 +46,8 @@ class MapOptions(SettingsOptions):
     often if saving takes more than 3 % of the time. 0: only when the run is interrupted."""
     checkpoint_every_frames: int = 0
     """Also save after every n-th frame. 0: no."""
+    estimate_memory: bool = False
+    """Only say how much memory the map will need; reads up to 200 frames and maps 8."""
     memory_gb: float = 0.0
     """Keep the map in temporary files, and what is far from the camera out of memory, so that the process needs about
     this many GB; the map is the same. On a processor only. 0: keep it in memory."""
@@ -58,7 +60,8 @@ def run(arguments: list[str]) -> int:
         ValueError, KeyError, OSError: invalid options, or data that cannot be mapped.
     """
     options = parse(MapOptions, "gsfusion-nb map", arguments, data="data")
-    from ..runs import CheckpointEvery, resume_mapping, run_mapping
+    from ..data import open_sequence
+    from ..runs import CheckpointEvery, estimate_memory, resume_mapping, run_mapping
 
     every = CheckpointEvery(seconds=options.checkpoint_every_s, frames=options.checkpoint_every_frames)
     MAP_MEMORY.limit(options.memory_gb or None)
@@ -76,9 +79,16 @@ def run(arguments: list[str]) -> int:
             return print_result(finished)
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
+        settings = options.settings()
+        if options.estimate_memory:
+            sequence = open_sequence(options.data, data=settings.data, **reader_options(options))
+            needed = estimate_memory(sequence, settings)
+            parts = ", ".join(f"{gb:.2g} GB {what}" for what, gb in needed.items())
+            print(f"about {sum(needed.values()):.2g} GB: {parts}; --memory-gb keeps the map in files")
+            return 0
         finished = run_mapping(
             options.data,
-            options.settings(),
+            settings,
             folder=options.out or None,
             device=options.device,
             evaluate=options.evaluate,
