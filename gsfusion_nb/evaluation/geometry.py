@@ -26,7 +26,7 @@ SAMPLES_PER_M2 = 10_000
 """One point per cm^2, as GSFusion's released evaluation draws on the mesh."""
 BEHIND_M = 0.05
 """How far behind the measured depth a point still counts as seen, metres."""
-FACES_AT_A_TIME, SAMPLES_AT_A_TIME = 1 << 20, 1 << 22
+FACES_AT_A_TIME, SAMPLES_AT_A_TIME = 1 << 20, 1 << 20
 """Limit the memory for intermediate results."""
 NEAR_M = 0.02
 """A view shows a vertex if its measured depth there differs by less than this, metres."""
@@ -198,12 +198,13 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame]) -> float | NotComputed:
 
 
 def _in_view(
-    xyz_W: Float[Tensor, "N 3"], chunks: Chunks, frame: Frame
+    xyz_W: Float[Tensor, "N 3"], chunks: Chunks, frame: Frame, but: Bool[Tensor, " N"] | None = None
 ) -> tuple[Int[Tensor, " M"], Float[Tensor, " M"], tuple[Tensor, Tensor]]:
-    """Which points are inside the image of a frame, their depths, and row and column of their pixels."""
+    """Points inside the image of a frame, without those in ``but``, their depths, rows and columns of their pixels."""
     T_CW, camera = se3.inverse(frame.T_WC.to(xyz_W)), frame.camera
     seen = chunks_in_view(chunks, camera, T_CW.double().cpu().numpy())
     rows = rows_of_chunks(seen.nonzero()[0], len(xyz_W)).to(xyz_W.device)
+    rows = rows if but is None else rows[~but[rows]]
     xyz_C = se3.apply(T_CW, xyz_W[rows])
     in_front = (xyz_C[:, 2] > 1e-6).nonzero()[:, 0]
     uv = project(camera, xyz_C[in_front])
@@ -225,7 +226,7 @@ def seen_by(xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame]) -> Bool[Tensor
     """
     seen, chunks = torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device), chunks_of_points(xyz_W)
     for frame in frames:
-        rows, z_m, at = _in_view(xyz_W, chunks, frame)
+        rows, z_m, at = _in_view(xyz_W, chunks, frame, but=seen)
         measured = frame.depth_m.to(xyz_W)[at]
         seen[rows[(measured > 0) & (z_m <= measured + BEHIND_M)]] = True
         MAP_MEMORY.give_back()
@@ -240,8 +241,10 @@ def cull_unseen(mesh: Mesh, frames: Iterable[Frame]) -> Mesh:
     n, centroids = len(mesh.vertices_W), _of_faces(mesh, lambda corners: corners.mean(1).to(mesh.vertices_W))
     seen = seen_by(torch.cat([mesh.vertices_W, centroids]), frames)
     faces = mesh.faces[seen[:n][mesh.faces.long()].any(1) | seen[n:]]
-    used, renumbered = torch.unique(faces, return_inverse=True)
-    return Mesh(vertices_W=mesh.vertices_W[used.long()], faces=renumbered.to(mesh.faces), rgb=mesh.rgb[used.long()])
+    used = torch.zeros(n, dtype=torch.bool, device=faces.device)
+    used[faces.view(-1).long()] = True
+    number = used.cumsum(0).to(faces) - 1
+    return Mesh(vertices_W=mesh.vertices_W[used], faces=number[faces.long()], rgb=mesh.rgb[used])
 
 
 def point_triangle_distance(xyz: Float[Tensor, "*N 3"], triangle: Float[Tensor, "*N 3 3"]) -> Float[Tensor, "*N"]:
@@ -309,15 +312,19 @@ def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor
     nearest = _to_nearest(xyz, points)  # not more than this
     for start in range(0, len(mesh.faces), FACES_AT_A_TIME):
         corners = _corners(mesh, slice(start, start + FACES_AT_A_TIME)).cpu()
-        low, high = corners.amin((0, 1)), corners.amax((0, 1))
+        low, high, middle = corners.amin((0, 1)), corners.amax((0, 1)), corners.mean(1)
         near = ((xyz - xyz.clamp(low, high)).norm(dim=1) <= nearest).nonzero()[:, 0]
+        near = near[nearest[near].argsort()]  # those of a part have similar bounds
+        extent = float((corners - middle[:, None]).norm(dim=2).max())
         here = (of_face >= start) & (of_face < start + len(corners))
         # samples represent large triangles, centroids those too small to have a sample
-        tree = KDTree(torch.cat([points[here], corners.mean(1)]).numpy())
-        faces = torch.cat([of_face[here] - start, torch.arange(len(corners))])
-        k = min(NEIGHBOURS, len(faces))
+        tree = KDTree(torch.cat([points[here], middle]).numpy())
+        faces = torch.cat([of_face[here] - start, torch.arange(len(corners)), torch.zeros(1, dtype=torch.int64)])
+        k = min(NEIGHBOURS, tree.n)
         for rows in near.split(20_000):
-            candidates = faces[torch.from_numpy(tree.query(xyz[rows].numpy(), k=k)[1]).reshape(len(rows), k)]
+            bound = 1.001 * (float(nearest[rows].max()) + extent)  # a face whose middle is beyond is not nearer
+            index = tree.query(xyz[rows].numpy(), k=k, distance_upper_bound=bound)[1]  # tree.n if there are fewer
+            candidates = faces[torch.from_numpy(index).reshape(len(rows), k)]
             found = point_triangle_distance(xyz[rows, None].expand(-1, k, 3), corners[candidates]).amin(1)
             nearest[rows] = torch.minimum(nearest[rows], found)
         MAP_MEMORY.give_back()

@@ -230,7 +230,7 @@ class _GivesBack:
 
 
 def _parts_of(tensor: Tensor) -> Sequence[Tensor]:
-    return tensor.split(max(1, _PART_BYTES * len(tensor) // tensor.nbytes))
+    return [_on_disk(part) for part in tensor.split(max(1, _PART_BYTES * len(tensor) // tensor.nbytes))]
 
 
 def _joined(parts: list[Tensor]) -> Tensor:

@@ -81,8 +81,9 @@ def test_what_is_constant_is_written_once(tmp_path):
 
 
 def test_parts_of_a_large_tensor_that_did_not_change_are_not_written_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint_store, "_PART_BYTES", 4000)
-    store, rows = CheckpointStore(tmp_path), torch.rand(100, 100, generator=torch.Generator().manual_seed(0))
+    monkeypatch.setattr(checkpoint_store, "_PART_BYTES", 40_000)
+    monkeypatch.setattr(checkpoint_store, "_COPIED_BYTES", 10_000)
+    store, rows = CheckpointStore(tmp_path), torch.rand(100, 1000, generator=torch.Generator().manual_seed(0))
     buffer = torch.cat([rows, rows])
 
     def written() -> list[int]:
@@ -95,6 +96,7 @@ def test_parts_of_a_large_tensor_that_did_not_change_are_not_written_again(tmp_p
     assert written() == [10]
     buffer[55] += 1
     assert written() == [10, 1]
+    assert (tmp_path / "000002.constants").stat().st_size < 1.2 * 40_000
     buffer[:60] += 1  # less than half of the first file is needed: the rest of it moves at the next checkpoint
     assert written() == [10, 1, 6]
     assert written() == [10, 6, 4]
