@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ..checks import check_finite, check_positive, check_shape
 from ..geometry import project, quaternion, se3
-from ..render.in_view import Chunks, chunks_in_view, chunks_of_points, rows_of_chunks
+from ..render.in_view import Chunks, chunks_of_points, rows_of_chunks, seen_chunks
 from ..types import Frame, GaussianParams, Mesh
 from ..work import MAP_MEMORY
 from .image import psnr
@@ -202,8 +202,8 @@ def _in_view(
 ) -> tuple[Int[Tensor, " M"], Float[Tensor, " M"], tuple[Tensor, Tensor]]:
     """Points inside the image of a frame, without those in ``but``, their depths, rows and columns of their pixels."""
     T_CW, camera = se3.inverse(frame.T_WC.to(xyz_W)), frame.camera
-    seen = chunks_in_view(chunks, camera, T_CW.double().cpu().numpy())
-    rows = rows_of_chunks(seen.nonzero()[0], len(xyz_W)).to(xyz_W.device)
+    seen = seen_chunks(chunks, camera, frame.T_WC, frame.depth_m)
+    rows = rows_of_chunks(seen, len(xyz_W)).to(xyz_W.device)
     rows = rows if but is None else rows[~but[rows]]
     xyz_C = se3.apply(T_CW, xyz_W[rows])
     in_front = (xyz_C[:, 2] > 1e-6).nonzero()[:, 0]

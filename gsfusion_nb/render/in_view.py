@@ -88,11 +88,7 @@ class Boxes:
             return None
         if self._of != _state(params):
             self._chunks, self._of = _chunks_of(params), _state(params)
-        T_CW = se3.inverse(T_WC.detach().cpu().double()).numpy()
-        seen = chunks_in_view(self._chunks, camera, T_CW).nonzero()[0]
-        if depth_m is not None:
-            near = Chunks(*(x[seen] for x in self._chunks))
-            seen = seen[~chunks_behind(near, camera, T_CW, farthest_depth(depth_m).cpu().numpy())]
+        seen = seen_chunks(self._chunks, camera, T_WC, depth_m)
         if len(seen) > MOSTLY_SEEN * len(self._chunks.low):
             return None
         return rows_of_chunks(seen, n).to(params.xyz_W.device)
@@ -119,6 +115,18 @@ def _state(params: GaussianParams) -> tuple[int, ...]:
     """Another one when centres or sizes have changed."""
     columns = params.xyz_W, params.log_scale
     return (len(params), *(x.data_ptr() for x in columns), *(x._version for x in columns))
+
+
+def seen_chunks(
+    chunks: Chunks, camera: Camera, T_WC: Float[Tensor, "4 4"], depth_m: Float[Tensor, "h w"] | None = None
+) -> Int[ndarray, " C"]:
+    """Numbers of the chunks that a camera may see, rising; arguments as for ``Boxes.rows``."""
+    T_CW = se3.inverse(T_WC.detach().cpu().double()).numpy()
+    seen = chunks_in_view(chunks, camera, T_CW).nonzero()[0]
+    if depth_m is None:
+        return seen
+    near = Chunks(*(x[seen] for x in chunks))
+    return seen[~chunks_behind(near, camera, T_CW, farthest_depth(depth_m).cpu().numpy())]
 
 
 def rows_of_chunks(chunks: Int[ndarray, " C"], n: int) -> Int[Tensor, " R"]:
