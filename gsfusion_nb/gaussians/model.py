@@ -227,9 +227,10 @@ class GaussianModel(GrowingRows):
     def write_back(self) -> None:
         """Nothing: a step on the whole map changes it in place."""
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything needed to continue: numbers, and the columns, which later steps change."""
-        rows = {name: column for name, column in self.columns.items() if not name.startswith("trace.")}
+    def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
+        """Everything needed to continue later, as tensors and numbers; without ``copies`` steps change the tensors."""
+        columns = self.snapshot() if copies else self.columns
+        rows = {name: column for name, column in columns.items() if not name.startswith("trace.")}
         return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": rows}
 
     @classmethod

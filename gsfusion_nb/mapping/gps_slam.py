@@ -189,9 +189,9 @@ class GPSSLAM(TsdfMapping):
         """Images of keyframes and of the views."""
         return [*super().constant_tensors(), *self.views.constant_tensors()]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """The state of any mapper, the TSDF, and the views that are optimised."""
-        return super().state_dict() | {"views": self.views.state_dict()}
+        return super().state_dict(copies=copies) | {"views": self.views.state_dict()}
 
     def _load(self, state: dict[str, Any]) -> None:
         super()._load(state)

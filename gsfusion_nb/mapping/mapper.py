@@ -410,8 +410,12 @@ class Mapper(ABC):
         images = [image for k in self.keyframes for image in (k.rgb_u8, k.depth_m)]
         return [image for image in images if image is not None]
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything needed to continue later from exactly this state, as tensors and plain values."""
+    def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
+        """Everything needed to continue later from exactly this state, as tensors and plain values.
+
+        Args:
+            copies: Without, large tensors are those of the map, which later frames change: to be written at once.
+        """
         return {
             "config": to_dict(self.config),
             "rule": self.rule_in_use.state_dict(),
@@ -421,7 +425,7 @@ class Mapper(ABC):
             "passes": self.passes.state_dict(),
             "localiser": self.localiser.state_dict(),
             "random": self.random.state_dict(),
-            "gaussians": self.gaussians.state_dict(),
+            "gaussians": self.gaussians.state_dict(copies=copies),
             "keyframes": self.keyframes.state_dict(),
         }
 

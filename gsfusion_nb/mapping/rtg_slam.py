@@ -370,9 +370,9 @@ class RTGSLAM(Mapper):
         """Images of keyframes and of the window."""
         return [*super().constant_tensors(), *(image for f in self.window for image in (f.colour, f.depth_m))]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """The state of any mapper, the window, and the optimiser of the final passes."""
-        return super().state_dict() | {
+        return super().state_dict(copies=copies) | {
             "camera": None if self.camera is None else vars(self.camera),
             "window": [frame.state_dict() for frame in self.window],
             "final": None if self._final is None else self._final.state_dict(),

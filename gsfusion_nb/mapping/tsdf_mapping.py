@@ -153,9 +153,10 @@ class TsdfMapping(Mapper):
         """Images of keyframes and of the frames in the TSDF."""
         return [*super().constant_tensors(), *self.fused.images()]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """The state of any mapper, and the TSDF with the frames that a loop may move."""
-        return super().state_dict() | {"volume": self.volume.state_dict(), "fused": self.fused.state_dict()}
+        volume = self.volume.state_dict(copies=copies)
+        return super().state_dict(copies=copies) | {"volume": volume, "fused": self.fused.state_dict()}
 
     def _load(self, state: dict[str, Any]) -> None:
         super()._load(state)

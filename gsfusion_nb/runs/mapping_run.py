@@ -230,7 +230,7 @@ class MappingRun:
             "system": self.system,
             "run": self.state_dict(),
             "source": self.source or self.stream(),
-            "mapper": self.mapper.state_dict(),
+            "mapper": self.mapper.state_dict(copies=False),
             "rule_from_file": bool(file_source(self.mapper.rule)),
             "random": random_state(),
         }

@@ -244,9 +244,10 @@ class TsdfVolume:
         observed[allocated] = self.W.view(-1)[flat[allocated]] > 0
         return observed
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything needed to continue: configuration and the allocated blocks, which later frames change."""
-        return {"config": to_dict(self.config)} | self._tensors()
+    def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
+        """Everything needed to continue: configuration and blocks; without ``copies`` later frames change them."""
+        tensors = self._tensors().items()
+        return {"config": to_dict(self.config)} | {name: x.clone() if copies else x for name, x in tensors}
 
     def to(self, device: torch.device | str) -> "TsdfVolume":
         """A copy of the map on ``device``."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Voxel = tuple[int, int, int]
 CELL_WATCH = {
     extract_mesh: {
-        "extract_mesh": ("triangles", "edges", "faces", "vertices_W"),
+        "_numbered": ("triangles", "edges", "numbers"),
         "_triangles": ("corner", "D", "weight", "usable", "case", "count", "cube", "nth", "axis", "lower"),
         "_vertices": ("D0", "D1", "t", "xyz_W"),
     }
@@ -134,9 +134,9 @@ def _of_cell(recording: Recording, row: int, k: int, scene: dict[str, Any], cell
 
 
 def _of_vertices(recording: Recording, start: Voxel, voxel_m: float, scene: dict[str, Any]) -> list[Step]:
-    joined, crossing = recording.at("edges, faces = triangles.unique")[0], recording.at("t = (D0 / (D0 - D1))")[0]
+    joined, crossing = recording.at("edges, numbers = triangles.unique")[0], recording.at("t = (D0 / (D0 - D1))")[0]
     placed = recording.at("xyz_W = zero_crossing(")[0]
-    faces, n = joined["faces"], len(joined["edges"])
+    faces, n = joined["numbers"], len(joined["edges"])
     ends = 3 * len(faces)
     numbers = [("triangles", str(len(faces))), ("their corners", str(ends)), ("different edges", str(n))]
     title = f"An edge that several triangles cut has one vertex: {ends} corners of triangles, {n} vertices."
