@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Voxel = tuple[int, int, int]
 CELL_WATCH = {
     extract_mesh: {
+        "extract_mesh": ("edges", "faces", "vertices_W"),
         "_numbered": ("triangles", "edges", "numbers"),
         "_triangles": ("corner", "D", "weight", "usable", "case", "count", "cube", "nth", "axis", "lower"),
         "_vertices": ("D0", "D1", "t", "xyz_W"),
