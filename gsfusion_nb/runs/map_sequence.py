@@ -1,6 +1,7 @@
 """Map a whole sequence, or frames as they arrive, with one call, from a notebook or the command line."""
 
 import contextlib
+import dataclasses
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -8,8 +9,8 @@ from typing import Any, Literal
 
 import torch
 
-from ..config import SystemConfig
-from ..data import Sequence, SequenceError, apply_options, open_sequence
+from ..config import SystemConfig, TsdfConfig, replace
+from ..data import OpenedSequence, Sequence, SequenceError, SequenceView, apply_options, open_sequence
 from ..data.adjust.depth_agreement import agreeing_share
 from ..data.stream import Policy
 from ..evaluation import ONLINE
@@ -18,12 +19,15 @@ from ..files import DiskFullError
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..optim import UpdateFunction
 from ..seeding import SeedingRule, rule_name
+from ..tsdf import TsdfVolume
+from ..tsdf.allocate import new_band_blocks
 from ..types import Frame, Mesh
 from ..work import ProgressDisplay, memory_is_full
 from . import outputs
-from .mapping_run import MappingRun, RunWatcher, has_poses
+from .mapping_run import MappingRun, RunWatcher, evenly, has_poses
 from .resume import load_run
 from .run_folder import CHECKPOINTS, NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
+from .scored_views import readable_frames
 from .stream_run import StreamRun
 
 log = logging.getLogger(__name__)
@@ -325,6 +329,51 @@ def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
             progress.show(step.step, total=step.n_steps, note=f"loss {step.loss:.4f}")
             if stop:
                 return
+
+
+_COUNTED_VIEWS, _TRIAL = 200, 8
+"""Frames of which the blocks are counted, and frames that are mapped, both evenly spread."""
+_PROCESS_GB = 0.5
+"""Of a process without a map."""
+
+
+def estimate_memory(sequence: OpenedSequence, config: SystemConfig) -> dict[str, float]:
+    """The memory that the map of a recording will need, GB, by what takes it.
+
+    The voxel blocks that some frames see are counted, without their voxels. A few frames are mapped, and the whole map
+    is taken to have as many Gaussians a block as that map. Every frame counts as a keyframe, so that pictures are an
+    upper bound. The mesh at the end is not counted.
+
+    Args:
+        sequence: The recording.
+        config: Settings of the run.
+
+    Raises:
+        SequenceError: the recording has no poses.
+    """
+    frames, n = sequence.mapping, len(sequence.mapping)
+    if not has_poses(frames):
+        raise SequenceError(f"{sequence.name} has no poses, so what its frames see together is not known beforehand")
+    mapper = make_mapper(replace(config, tracking__poses="given"))
+    has_volume, settings = hasattr(config, "tsdf"), getattr(config, "tsdf", TsdfConfig(voxel_size_m=0.04))
+    whole, part = TsdfVolume(settings), TsdfVolume(settings)
+
+    def view(limit: int) -> SequenceView:
+        return dataclasses.replace(frames, positions=[frames.positions[i] for i in evenly(n, limit)])
+
+    for frame in readable_frames(view(_COUNTED_VIEWS)):
+        whole.index.add(new_band_blocks(whole, frame))
+    for frame in readable_frames(view(_TRIAL)):
+        part.index.add(new_band_blocks(part, frame))
+        mapper.step(frame)
+    columns, share = mapper.gaussians.columns.values(), whole.n_blocks / max(1, part.n_blocks)
+    pixels = sequence.camera.width * sequence.camera.height
+    return {
+        "voxel blocks": whole.memory_bytes / 1e9 if has_volume else 0.0,
+        "Gaussians": share * sum(column.nbytes for column in columns) / 1e9,
+        "pictures, at most": n * pixels * (3 + 4) / 1e9,
+        "process": _PROCESS_GB,
+    }
 
 
 def map_stream(
