@@ -190,7 +190,6 @@ class MapMemory:
         Raises:
             MemoryError: as for ``rows``; ``old`` is unchanged.
         """
-
         if old.data_ptr() not in self._files:
             new = self.rows(n, *old.shape[1:], dtype=old.dtype, device=old.device)
             new[: len(old)] = old

@@ -46,6 +46,13 @@ def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> tuple[Floa
     upto = _areas(mesh).cumsum(0)
     if len(upto) == 0 or not upto[-1] > 0:
         raise ValueError(f"a mesh to sample must have area, got {len(upto)} faces of total area 0")
+    return _sampled(mesh, upto, n, generator)
+
+
+def _sampled(
+    mesh: Mesh, upto: Float[Tensor, " F"], n: int, generator: torch.Generator
+) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
+    """As ``sample_surface``; ``upto``: running sums of the areas of the faces."""
     face, draw = _drawn_by_area(upto, n, generator)
     r, s = draw[:, 1:2].sqrt(), draw[:, 2:3]
     a, b, c = _corners(mesh, face).unbind(1)
@@ -159,12 +166,13 @@ def centres_to_own_mesh(
         return NotComputed("the map has no Gaussian")
     if lost := int((~params.xyz_W.isfinite().all(1)).sum()):
         return NotComputed(f"the centres of {lost} Gaussians are not finite")
-    n = int(_areas(mesh).sum() * SAMPLES_PER_M2)
+    areas = _areas(mesh)
+    n, upto = int(areas.sum() * SAMPLES_PER_M2), areas.cumsum(0)
     if n == 0:
         return NotComputed("the run's mesh is smaller than 1 cm^2")
     xyz, distance = params.xyz_W.double(), torch.full((len(params),), math.inf, dtype=torch.float64)
     for start in range(0, n, SAMPLES_AT_A_TIME):
-        samples = sample_surface(mesh, min(SAMPLES_AT_A_TIME, n - start), generator)[0]
+        samples = _sampled(mesh, upto, min(SAMPLES_AT_A_TIME, n - start), generator)[0]
         distance = torch.minimum(distance, _to_nearest(xyz, samples))
     return float(distance.mean()), float(distance.square().mean())
 
@@ -226,6 +234,8 @@ def seen_by(xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame]) -> Bool[Tensor
     """
     seen, chunks = torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device), chunks_of_points(xyz_W)
     for frame in frames:
+        if bool(seen.all()):
+            break
         rows, z_m, at = _in_view(xyz_W, chunks, frame, but=seen)
         measured = frame.depth_m.to(xyz_W)[at]
         seen[rows[(measured > 0) & (z_m <= measured + BEHIND_M)]] = True

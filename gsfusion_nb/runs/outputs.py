@@ -128,9 +128,9 @@ def hash_of(tensors: Mapping[str, Tensor], order: Tensor | None = None) -> str:
     digest = hashlib.sha256()
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}\n".encode())
-        rows = torch.arange(len(tensor), device=tensor.device) if order is None else order
-        for part in rows.split(_ROWS_AT_A_TIME):
-            values = tensor.detach()[part].cpu().contiguous().numpy()
+        rows = (tensor if order is None else order).split(_ROWS_AT_A_TIME)
+        for part in rows if order is None else (tensor[places] for places in rows):
+            values = part.detach().cpu().contiguous().numpy()
             digest.update(values.astype(values.dtype.newbyteorder("<"), copy=False).reshape(-1).view("uint8").data)
             MAP_MEMORY.give_back()
     return digest.hexdigest()

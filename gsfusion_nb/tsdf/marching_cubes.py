@@ -149,6 +149,7 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     parts = []
     for n, part in enumerate(rows.split(BLOCKS_AT_A_TIME), start=1):
         parts.append(_numbered(_triangles(volume, part, min_weight)))
+        MAP_MEMORY.give_back()
         if n % 64 == 0:
             return_free_memory()  # the small results lie between large intermediate ones
     edges, sizes = torch.cat([cut for cut, _ in parts]).unique(), [len(triangles) for _, triangles in parts]
@@ -164,7 +165,6 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
 
 def _numbered(triangles: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, " E"], Int[Tensor, "F 3"]]:
     """The edges of some triangles, rising, and the triangles as numbers among them, int32."""
-    MAP_MEMORY.give_back()
     edges, numbers = triangles.unique(return_inverse=True)
     return edges, numbers.int()
 

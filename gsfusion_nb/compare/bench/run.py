@@ -21,7 +21,7 @@ from ...backends import use_backend
 from ...checks import check_name, check_whole
 from ...config import DataConfig, TsdfConfig, gsfusion, replace
 from ...data import OpenedSequence, open_sequence
-from ...data.room import room
+from ...data.room import RoomSequence
 from ...evaluation.image import psnr
 from ...files import write_file
 from ...geometry import se3
@@ -318,7 +318,7 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
     n_rooms, n_frames = (4, 3) if options.quick else (ROOMS, ROOM_FRAMES)
     width, height = options.sizes[0] if options.size else ROOM_SIZE
     n_frames = options.frames or n_frames
-    building = room(n_frames=n_frames, rooms=n_rooms, width=width, height=height)
+    building = RoomSequence(n_frames=n_frames, rooms=n_rooms, width=width, height=height)
     case = f"room {width}x{height}, room"
     for name, system in SYSTEMS.items():
         config, laps = system.preset("room"), list[Lap]()
