@@ -7,13 +7,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ..backends import op
+from ..checks import check_whole
 from ..gaussians import radius_of
 from ..geometry import quaternion
+from ..geometry.operands import check_operand
 from ..geometry.spherical_harmonics import SH_C0
 from ..types import Camera, GaussianParams
-
-_DISTANCES = 1 << 25
-"""Number of distances computed at a time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,20 +33,26 @@ class Neighbours:
         return (self.distance_m.where(exists, 0.0).square().sum(dim=1) / exists.sum(dim=1)).sqrt()
 
 
+def check_points(xyz_W: Any, others_W: Any, k: Any) -> None:
+    """Raise ``ValueError`` for arguments that ``k_nearest`` refuses."""
+    check_operand("xyz_W", xyz_W, ("M", 3))
+    check_operand("others_W", others_W, ("N", 3), dtypes=(xyz_W.dtype,), device=xyz_W.device)
+    check_whole("k", k, 1)
+
+
+@op("neighbours", check_points)
 def k_nearest(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int
 ) -> tuple[Float[Tensor, "M K"], Int[Tensor, "M K"]]:
     """Distance to the ``k`` nearest of ``others_W`` and their rows, nearest first; if there are fewer,
     infinite and row N. On the device of the points; differentiable: no."""
+    from scipy.spatial import KDTree
+
     M, N = len(xyz_W), len(others_W)
     if M == 0 or N == 0:
         return xyz_W.new_full((M, k), torch.inf), torch.full((M, k), N, dtype=torch.int64, device=xyz_W.device)
-    if xyz_W.device.type == "cpu":
-        from scipy.spatial import KDTree
-
-        distance, row = KDTree(others_W.numpy()).query(xyz_W.numpy(), k=k)
-        return torch.from_numpy(distance).view(M, k).to(xyz_W), torch.from_numpy(row).view(M, k)
-    return by_all_distances(xyz_W, others_W, k)
+    distance, row = KDTree(others_W.cpu().numpy()).query(xyz_W.cpu().numpy(), k=k)
+    return torch.from_numpy(distance).view(M, k).to(xyz_W), torch.from_numpy(row).view(M, k).to(xyz_W.device)
 
 
 def nearest_others(xyz_W: Float[Tensor, "M 3"], more_W: Float[Tensor, "N 3"], k: int) -> Neighbours:
@@ -62,22 +68,6 @@ def nearest_others(xyz_W: Float[Tensor, "M 3"], more_W: Float[Tensor, "N 3"], k:
     kept = other.byte().sort(dim=1, descending=True, stable=True).indices[:, :k]
     row = row.gather(1, kept)
     return Neighbours(distance_m=distance.gather(1, kept), row=row.masked_fill(row == len(everything), -1))
-
-
-def by_all_distances(
-    xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int
-) -> tuple[Float[Tensor, "M K"], Int[Tensor, "M K"]]:
-    """``k_nearest`` for thousands of points among tens of thousands, without leaving the device."""
-    N = len(others_W)
-    missing = (0, max(k - N, 0))
-    found = []
-    for some in xyz_W.split(max(_DISTANCES // N, 1)):
-        distance = torch.cdist(some, others_W, compute_mode="donot_use_mm_for_euclid_dist")
-        nearest, row = distance.topk(min(k, N), largest=False)
-        pad = torch.nn.functional.pad
-        found.append((pad(nearest, missing, value=torch.inf), pad(row, missing, value=N)))
-    distances, rows = zip(*found, strict=True)
-    return torch.cat(distances), torch.cat(rows)
 
 
 _BITS = 21

@@ -53,7 +53,8 @@ def _run(
     weight = (2 * torch.rand(size, generator=g) - 1).clamp_min(0) if weights else torch.ones(size)
     depth_m = (frame.depth_m + 0.5).to(dtype)
     depth_m[:10, :20] = 0.0
-    base = Base(rgb=frame.rgb.to(dtype), depth_m=depth_m, weight=weight.to(device, dtype))
+    rgb = make_frame().rgb.to(device, dtype)  # a GPU divides bytes by 255 with other rounding
+    base = Base(rgb=rgb, depth_m=depth_m, weight=weight.to(device, dtype))
     v_rgb, rows = torch.randn(*size, 3, generator=g).to(device, dtype), (torch.rand(n, generator=g) < 0.5).to(device)
     out, saved = render_over_base(params, frame.camera, frame.T_WC, base, behind_m=0.1)
     names = ("v_uv", "v_uv_abs") if with_centres else ()

@@ -30,6 +30,7 @@ from gsfusion_nb.render import (
     render_vjp,
 )
 from gsfusion_nb.seeding import quadtree
+from gsfusion_nb.seeding.points import k_nearest
 from gsfusion_nb.tracking import brightness_system, icp_system, picture_of
 from gsfusion_nb.tracking.surface import Surface, depth_pyramid
 from gsfusion_nb.tsdf import (
@@ -137,6 +138,7 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
         "icp_system": (icp_system, {"level": level, "T_WC": T_WC, "surface": model, **gates}),
         "brightness_system": (brightness_system, {"level": level, "T_WC": T_WC, **bright}),
         "quadtree": (quadtree, {"rgb_u8": frame.rgb_u8, "threshold": 0.1, "min_cell_px": 1, "contrast": "std"}),
+        "k_nearest": (k_nearest, {"xyz_W": params.xyz_W, "others_W": params.xyz_W[1:], "k": 3}),
         "band_blocks": (band_blocks, {"volume": volume, "frame": frame}),
         "new_band_blocks": (lambda **values: new_band_blocks(**values).coords, {"volume": volume, "frame": frame}),
         "fuse_frame_": (fuse_frame_, {"volume": volume, "frame": frame}),

@@ -24,8 +24,9 @@ def mapped():
     return mapper.gaussians.params, sequence[N_FRAMES]
 
 
-def step(params: GaussianParams, frame, hit: Tensor | None, device: str) -> dict[str, Tensor]:
-    """Every operation, on ``device``; ``hit``: the discs that the pixels hit, where they are known."""
+def step(params: GaussianParams, frame, known: dict[str, Tensor], device: str) -> dict[str, Tensor]:
+    """Every operation, on ``device``. Where the discs that the pixels hit, the picture or the depth of the discs are
+    ``known``, what follows from them starts from these: rounding decides which disc is hit and the sign of an error."""
     params = GaussianParams(**{name: column.to(device) for name, column in vars(params).items()})
     frame, pixels = frame.to(device), (frame.depth_m > 0).to(device)
     pixels[: SIZE[1] // 3, : SIZE[0] // 3] = False
@@ -33,14 +34,14 @@ def step(params: GaussianParams, frame, hit: Tensor | None, device: str) -> dict
     view = (params, frame.camera, frame.T_WC)
     out, saved = render_forward(*view, with_indices=False, opaque_alpha=OPAQUE, pixels=pixels)
     assert out.hit_index is not None
-    hit = out.hit_index if hit is None else hit.to(device)
+    known = {"hit": out.hit_index, "rgb": out.rgb, "target": frame.rgb} | known
+    hit, rgb, target = (known[name].to(device) for name in ("hit", "rgb", "target"))
     disc = disc_depth(*view, hit, max_offset=3.0, min_cosine=0.1)
-    loss = rgbd_l1_vjp(
-        out.rgb, disc.depth_m, frame.rgb, frame.depth_m, pixels, weight_colour=0.7, weight_depth=1.0, behind_m=0.1
-    )
+    depth_m = ({"disc depth": disc.depth_m} | known)["disc depth"].to(device)
+    loss = rgbd_l1_vjp(rgb, depth_m, target, frame.depth_m, pixels, weight_colour=0.7, weight_depth=1.0, behind_m=0.1)
     gradients = render_vjp(saved, loss.v_rgb, rows=rows)
     v_xyz, v_quat = disc_depth_vjp(*view, hit, loss.v_depth_m, rows=rows, max_offset=3.0, min_cosine=0.1)
-    values = {"rgb": out.rgb, "alpha": out.alpha, "hit": out.hit_index, "disc depth": disc.depth_m}
+    values = {"target": target, "rgb": out.rgb, "alpha": out.alpha, "hit": out.hit_index, "disc depth": disc.depth_m}
     values |= {"v_rgb": loss.v_rgb, "v_depth": loss.v_depth_m, "disc v_xyz": v_xyz, "disc v_quat": v_quat}
     values |= {f"v_{name}": column for name, column in vars(gradients).items()}
     return {name: value.detach().cpu() for name, value in values.items()}
@@ -61,15 +62,15 @@ def check(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 def test_a_step_on_the_gpu_is_that_of_the_processor(mapped):
     params, frame = mapped
-    expected = step(params, frame, None, "cpu")
+    expected = step(params, frame, {}, "cpu")
     assert len(params) > 5000
     assert float((expected["hit"] >= 0).double().mean()) > 0.5
-    check(step(params, frame, expected["hit"], "cuda"), expected)
+    check(step(params, frame, expected, "cuda"), expected)
 
 
 def test_the_comparison_finds_a_wrong_value(mapped):
     params, frame = mapped
-    expected = step(params, frame, None, "cpu")
-    check(step(params, frame, expected["hit"], "cpu"), expected)
+    expected = step(params, frame, {}, "cpu")
+    check(step(params, frame, expected, "cpu"), expected)
     with pytest.raises(AssertionError, match="v_depth"):
         check({**expected, "v_depth": -expected["v_depth"]}, expected)
