@@ -42,10 +42,12 @@ class WindowConfig(Settings, group="window"):
     8."""
     iterations: int = within(50, 0)
     """Steps per optimisation of the window. Larger: better pictures, slower. Usual: 20 to 100."""
+    lr_xyz: float = within(1e-3, 0, 10)
+    """Learning rate of the centres, metres per step, and of the rotations. Larger: the discs reach the measured surface
+    in fewer steps. Usual: 0.001 to 0.005."""
     lr_sh_dc: float = within(5e-4, 0, 10)
-    """Learning rate of the base colour (spherical harmonics of degree 0)."""
-    lr_sh_rest: float = within(2.5e-5, 0, 10)
-    """Learning rate of the view-dependent colour (degrees 1 to 3)."""
+    """Learning rate of the base colour (spherical harmonics of degree 0). The view-dependent colour learns at 1/20 of
+    it."""
     lr_log_scale: float = within(4e-3, 0, 10)
     """Learning rate of the logarithm of the sizes: 4e-3 changes a size by about 0.4 % per step."""
     weight_colour: float = within(1.0, 0, 1e6)

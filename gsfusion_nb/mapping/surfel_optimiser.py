@@ -23,9 +23,6 @@ from .training import Training
 
 _GEOMETRY = ("xyz_W", "log_scale", "quat")
 
-LR_XYZ, LR_QUAT = 1e-3, 1e-3
-"""Learning rates of the centres, metres per step, and of the rotations; on all data sets of the paper."""
-
 WEIGHT_DEPTH = 1.0
 """w_d of Eq. 8: weight of the depth error in metres."""
 
@@ -85,11 +82,11 @@ class SurfelOptimiser:
         """Number of steps that changed the colour of each trained row."""
         w = self.config
         rates = {
-            "xyz_W": LR_XYZ * lr_factor * move_centres,
+            "xyz_W": w.lr_xyz * lr_factor * move_centres,
             "log_scale": w.lr_log_scale * lr_factor,
-            "quat": LR_QUAT * lr_factor,
+            "quat": w.lr_xyz * lr_factor,
             "sh_dc": w.lr_sh_dc * lr_factor,
-            "sh_rest": w.lr_sh_rest * lr_factor,
+            "sh_rest": w.lr_sh_dc * lr_factor / 20,
         }
         factors = {name: f[self.rows] for name, f in model.rates.items()}
         self.adam = RowAdam(self.trained, rates, factors, update=self.training.optimiser)

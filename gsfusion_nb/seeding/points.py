@@ -51,7 +51,8 @@ def k_nearest(
     M, N = len(xyz_W), len(others_W)
     if M == 0 or N == 0:
         return xyz_W.new_full((M, k), torch.inf), torch.full((M, k), N, dtype=torch.int64, device=xyz_W.device)
-    distance, row = KDTree(others_W.cpu().numpy()).query(xyz_W.cpu().numpy(), k=k)
+    tree = KDTree(others_W.cpu().numpy(), balanced_tree=False, compact_nodes=False)  # built in half the time
+    distance, row = tree.query(xyz_W.cpu().numpy(), k=k)
     return torch.from_numpy(distance).view(M, k).to(xyz_W), torch.from_numpy(row).view(M, k).to(xyz_W.device)
 
 

@@ -26,8 +26,7 @@ def test_published_numbers_of_each_data_set(
     c = rtg_slam(preset, fidelity)
     w = c.window
     assert (w.every_frames, w.iterations, w.frames) == (every, iterations, frames)
-    assert (w.lr_sh_dc, w.lr_log_scale) == (lr_dc, lr_scale)
-    assert w.lr_sh_rest == pytest.approx(lr_dc / 20)
+    assert (w.lr_xyz, w.lr_sh_dc, w.lr_log_scale) == (1e-3, lr_dc, lr_scale)
     assert (c.states.stable_confidence, c.states.unstable_frames) == (delta_eta, delta_t)
     assert c.keyframes.iterations == iterations
     assert c.sh_degree == 3
@@ -87,8 +86,8 @@ def test_settings_know_what_they_follow(preset, fidelity):
 
 
 def test_overrides_reach_nested_fields():
-    c = rtg_slam("tum", window__iterations=20, tracking__back_end=True, mesh_voxel_m=0.05)
-    assert (c.window.iterations, c.window.every_frames) == (20, 4)
+    c = rtg_slam("tum", "paper", window__iterations=30, tracking__back_end=True, mesh_voxel_m=0.05)
+    assert (c.window.iterations, c.window.every_frames) == (30, 4)
     assert c.tracking.back_end
     assert c.mesh_voxel_m == 0.05
     with pytest.raises(ValueError, match=r"window: unknown keys \['iteration'\]; known: .*'iterations'"):
