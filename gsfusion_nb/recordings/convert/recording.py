@@ -65,9 +65,10 @@ class ConvertOptions(Settings):
     pixel_centre: float = 0.0
     """Coordinate of the first pixel's centre in these intrinsics: 0 as in OpenCV and ROS, 0.5 as in COLMAP."""
     width: int = within(0, 0)
-    """Width of the images to write, pixels. 0: that of the colour images, or in proportion to the height."""
+    """Width of the images to write, pixels. 0: in proportion to the height, or that of the colour images; if these have
+    more than 16 times as many pixels as the depth, 640 for the longer side."""
     height: int = within(0, 0)
-    """Height of the images to write, pixels. 0: that of the colour images, or in proportion to the width."""
+    """Height of the images to write, pixels. 0: as for the width."""
     every: int = within(1, 1)
     """Convert every n-th frame."""
     confidence: int = within(1, 0, 2)

@@ -32,6 +32,9 @@ MILLIMETRES = 1000.0
 _FINEST, _COARSEST = 20000.0, 200.0
 """Depth scales of a recording that are kept; others (metres, floating point) are written in millimetres."""
 
+_PIXELS_PER_DEPTH, _LONG_SIDE = 16, 640
+"""Images with more colour pixels than this for each of the depth (iPhone: 56) are written with this long side."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertReport:
@@ -130,6 +133,8 @@ class _Conversion:
         self._lines: list[str] = []
         """The poses of the frames that were written."""
         self._far_pixels = 0
+        self._smaller: list[str] = []
+        """A note that images were made smaller."""
         (folder / "rgb").mkdir()
 
     def add(self, frame: RecordedFrame) -> None:
@@ -181,7 +186,7 @@ class _Conversion:
                 "at least one"
             )
         stamps = judge_stamps([t for t in self._times if t is not None], unit="s")
-        notes = [*self._recording.notes, *self._poses.notes]
+        notes = [*self._recording.notes, *self._poses.notes, *self._smaller]
         if self._far_pixels:
             limit = 65535 / self._depth_scale
             notes.append(
@@ -228,7 +233,15 @@ class _Conversion:
         model = self._model(frame, (width, height))
         if self._rectifier is None:
             pinhole = model.fitted(width, height, frame.source).pinhole()
-            camera = resized_camera(pinhole, self._options.width, self._options.height)
+            size, (rows, columns) = (self._options.width, self._options.height), images.depth_m.shape
+            coarse = width * height > _PIXELS_PER_DEPTH * rows * columns and max(width, height) > _LONG_SIDE
+            if coarse and not any(size):
+                size = (_LONG_SIDE, 0) if width >= height else (0, _LONG_SIDE)
+                self._smaller = [
+                    f"colour is {width}x{height}, depth {columns}x{rows}: written with {_LONG_SIDE} pixels on the "
+                    f"longer side, --width {width} writes all of them"
+                ]
+            camera = resized_camera(pinhole, *size)
             self._rectifier = Rectifier(camera, along_ray=self._recording.depth_along_ray)
         return self._rectifier(frame, model, images)
 

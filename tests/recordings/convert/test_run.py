@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 
@@ -81,6 +82,19 @@ def test_smaller_images(tmp_path, takes, scan):
     mean = takes.rgb[1].reshape(22, 2, 30, 2, 3).mean((1, 3))
     assert np.abs(sequence[1].rgb_u8.numpy() - mean).max() <= 1
     assert np.abs(sequence[1].depth_m.numpy() - takes.depth_m[1][::2, ::2]).max() < 6e-4
+
+
+def test_colour_far_finer_than_depth_is_written_smaller_and_a_note_says_so(tmp_path, takes, scan):
+    c = takes.camera.resized(1200, 880)
+    for i in range(4):
+        large = cv2.resize(takes.rgb[i], (1200, 880), interpolation=cv2.INTER_NEAREST)
+        cv2.imwrite(str(scan / f"color/{i}.png"), large[..., ::-1])
+    K = [c.fx, 0, 0, 0, c.fy, 0, c.cx - 0.5, c.cy - 0.5, 1]
+    (scan / "camera_intrinsic.json").write_text(json.dumps({"width": 1200, "height": 880, "intrinsic_matrix": K}))
+    report = convert(scan, tmp_path / "out")
+    assert (report.camera.width, report.camera.height) == (640, 469)
+    assert "colour is 1200x880, depth 60x44: written with 640 pixels" in str(report)
+    assert convert(scan, tmp_path / "all", options=ConvertOptions(width=1200)).camera.width == 1200
 
 
 def test_scale_and_every(tmp_path, takes, scan):
