@@ -225,7 +225,7 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = 150, seed: int 
         shares are of all measured pixels.
     """
     check_name("method", method, ("disc", "blended", "round"))
-    settings = rtg_slam("replica")
+    settings = rtg_slam("replica", window__lr_xyz=1e-3, window__lr_sh_dc=5e-3, window__lr_log_scale=0.02)  # many steps
     depth = "disc" if method == "disc" else "blended"
     discs = dataclasses.replace(settings.discs, opaque_alpha=OPAQUE_ALPHA, depth=depth)  # the surfel to 1 sigma
     context = SeedContext(frame, generator=torch.Generator().manual_seed(seed), discs=discs)
