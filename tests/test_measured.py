@@ -126,21 +126,6 @@ def test_a_difference_is_taken_scene_by_scene():
     assert measured.cell("{lab; mcmc; scene=b; less=none; psnr_db:.1f}", values) == "-1.0"
 
 
-def test_a_second_table_of_the_same_numbers(project):
-    recipes, second = (
-        project / "docs/measured/recipes.toml",
-        '[more]\nof = "walls"\nabout = "More"\ncolumns = ["", "dB"]\n',
-    )
-    recipes.write_text(RECIPE + second + 'rows = [["one", "{a; psnr_db:.1f}"]]\n')
-    numbers = json.loads((project / "docs/measured/walls.json").read_text()) | {"values": VALUES}
-    (project / "docs/measured/walls.json").write_text(json.dumps(numbers))
-    (project / "README.md").write_text("<!-- table: more -->\n<!-- end -->\n<!-- commands: more -->\n<!-- end -->\n")
-    measured.fill(project, write=True)
-    assert "| one | 20.2 |\n<!-- end -->" in (project / "README.md").read_text()
-    assert "gsfusion-nb map wall\n" in (project / "README.md").read_text()
-    assert measured.list_old(measured.read_recipes(project), project) == []
-
-
 def test_an_offset_is_read_from_what_the_command_prints():
     said = "pictures were taken 8.1 ± 2.6 ms before their poses: --data.repair.pose-offset-s -0.0081\n"
     assert measured.of_an_offset(said) == [{"offset_ms": -8.1, "error_ms": 2.6}]
@@ -157,7 +142,7 @@ def test_no_number_was_edited_by_hand():
     assert [p.name for p in measured.fill(write=False)] == []
 
 
-@pytest.mark.parametrize("name", [name for name, recipe in RECIPES.items() if "of" not in recipe])
+@pytest.mark.parametrize("name", RECIPES)
 def test_a_recipe_depends_on_files_that_exist(name):
     for path in RECIPES[name]["depends"]:
         assert any(ROOT.glob(path)), f"{name} depends on {path}, which does not exist"

@@ -25,7 +25,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = "docs/measured"
-KEYS = {"about", "depends", "columns", "rows", "runs", "cells", "texts", "minutes", "quiet", "of"}
+KEYS = {"about", "depends", "columns", "rows", "runs", "cells", "texts", "minutes", "quiet"}
 MARKER = re.compile(r"(?<!`)<!-- (table|commands|text): ([\w-]+)(?: ([\w-]+))? -->(.*?)<!-- end -->", re.DOTALL)
 NUMBER = re.compile(r"-?\d+(\.\d*)?(e[-+]?\d+)?")
 Record = dict[str, Any]
@@ -42,8 +42,6 @@ def read_recipes(root: Path = ROOT) -> dict[str, dict[str, Any]]:
     for name, recipe in recipes.items():
         if unknown := set(recipe) - KEYS:
             raise MeasuredError(f"{name}: unknown keys {sorted(unknown)}; there are {sorted(KEYS)}")
-        if "of" in recipe:
-            continue
         recipe["depends"] = sorted({path for item in recipe["depends"] for path in groups.get(item, [item])})
         recipe["runs"] = {run: [lines] if isinstance(lines, str) else lines for run, lines in recipe["runs"].items()}
         recipe["commands"] = list(dict.fromkeys(line for lines in recipe["runs"].values() for line in lines))
@@ -51,11 +49,7 @@ def read_recipes(root: Path = ROOT) -> dict[str, dict[str, Any]]:
 
 
 def read_numbers(name: str, root: Path = ROOT) -> dict[str, Any]:
-    """The numbers of a table: of its file, or made from the values in the file of the recipe that it is ``of``."""
-    recipe = read_recipes(root).get(name, {})
-    if "of" in recipe:
-        numbers = read_numbers(recipe["of"], root)
-        return numbers | made(recipe, numbers["values"])
+    """The numbers of a table, from its file."""
     return json.loads((root / MEASURED / f"{name}.json").read_text(encoding="utf-8"))
 
 
@@ -118,8 +112,6 @@ def list_old(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> list[s
     """Print the tables whose recipe, or files that it depends on, have changed since; returns their names."""
     old = []
     for name, recipe in recipes.items():
-        if "of" in recipe:
-            continue
         why = "never measured"
         if (root / MEASURED / f"{name}.json").is_file():
             numbers = read_numbers(name, root)

@@ -220,8 +220,8 @@ def _is_compiled(operation: str, device: str) -> bool:
 
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
-    """No message from the kernels that they are being compiled: here that is what was asked for."""
-    logger = logging.getLogger("gsfusion_nb.kernels")
+    """No message that kernels are being compiled, which was asked for here, or that a case is a difficult map."""
+    logger = logging.getLogger("gsfusion_nb")
     before = logger.level
     logger.setLevel(logging.ERROR)
     try:

@@ -69,11 +69,6 @@ class Course:
         return sum(chapter.total for chapter in self.chapters)
 
     @property
-    def percent(self) -> int:
-        """Of all exercises."""
-        return round(100 * self.done / self.total)
-
-    @property
     def here(self) -> str:
         """One line about the notebook's chapter."""
         for chapter in self.chapters:

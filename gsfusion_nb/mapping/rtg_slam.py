@@ -126,10 +126,8 @@ class RTGSLAM(Mapper):
         return float(turned) >= KEYFRAME_DEG or float(moved) >= KEYFRAME_M
 
     def _window_is_due(self, is_keyframe: bool) -> bool:
-        if not self.n_frames:
-            return True
         replaced = is_keyframe and self.config.keyframes.instead_of_window and bool(self.gaussians.is_stable.any())
-        return (self.n_frames + 1) % self.config.window.every_frames == 0 and not replaced
+        return not self.n_frames or ((self.n_frames + 1) % self.config.window.every_frames == 0 and not replaced)
 
     def _begin(self, context: SeedContext, is_keyframe: bool, window: bool, keyframes: bool) -> None:
         """Take the frame of ``context`` into the window, and keep it if it is a keyframe. What will be optimised is
@@ -155,11 +153,9 @@ class RTGSLAM(Mapper):
         views = [TrainingView.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
         newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
         losses, last = self._take_steps(optimiser, views, config.iterations, newest_from)
-        was = model.confidence[optimiser.rows]
+        was, most = model.confidence[optimiser.rows], config.history_max_weight
         now = was + optimiser.steps_seen
-        fused = fuse_with_history(
-            before, optimiser.trained, was, now, history_max_weight=config.history_max_weight
-        )  # RTG-SLAM Eq. 9
+        fused = fuse_with_history(before, optimiser.trained, was, now, history_max_weight=most)  # RTG-SLAM Eq. 9
         optimiser.write_back(fused)
         model.confidence[optimiser.rows] = now
         self._edit(optimiser, self.window, last)
@@ -231,10 +227,8 @@ class RTGSLAM(Mapper):
         params, seen = self.gaussians.params, torch.zeros_like(self.gaussians.is_stable)
         for view in views:
             part = self.boxes.rows(params, view.camera, view.T_WC, view.depth_m)
-            if part is None:
-                seen |= rows_in_view(params, view.camera, view.T_WC)
-            else:
-                seen[part] |= rows_in_view(params[part], view.camera, view.T_WC)
+            rows = slice(None) if part is None else part
+            seen[rows] |= rows_in_view(params[rows], view.camera, view.T_WC)
         return seen
 
     def _worst_pixels(self, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
@@ -344,7 +338,9 @@ class RTGSLAM(Mapper):
             frame = Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=view.depth_m, camera=camera, T_WC=pose)
             integrate(volume, frame)
             taken.append(index)
-            near = math.degrees(math.atan(0.5 * camera.width / camera.fx)), 0.5 * _median_depth_m(view)
+            known = view.depth_m[view.depth_m > 0]
+            half_depth_m = 0.5 * float(known.median()) if len(known) else math.inf
+            near = math.degrees(math.atan(0.5 * camera.width / camera.fx)), half_depth_m
         between = [(a + b) // 2 for a, b in itertools.pairwise(taken) if b - a > 1]
         observed = [self._observed(volume, poses[i]) for i in between[:: max(1, len(between) // 20)]]
         self.mesh_share = float(torch.cat(observed).float().mean()) if observed else 1.0
@@ -402,9 +398,3 @@ class RTGSLAM(Mapper):
 
 def _psnr_db(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:
     return psnr_from_mse(float((rgb.clamp(0, 1) - frame.rgb).square().mean()))
-
-
-def _median_depth_m(view: SurfaceView) -> float:
-    """Of the pixels with depth; infinite without any."""
-    known = view.depth_m[view.depth_m > 0]
-    return float(known.median()) if len(known) else math.inf

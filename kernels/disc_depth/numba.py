@@ -86,9 +86,7 @@ def disc_depth_vjp(
     rows: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
-    trained = _ALL_ROWS
-    if rows is not None:
-        trained = rows.contiguous().numpy()
+    trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
     arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
     v_depth = v_depth_m.detach().float().contiguous().numpy()
     v_xyz, v_quat = torch.empty(len(params), 3), torch.empty(len(params), 4)

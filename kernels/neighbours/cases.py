@@ -1,6 +1,7 @@
 """Nearest points: several pieces of others, fewer than asked for, and none. Cases of ``k_nearest``."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -13,15 +14,10 @@ from ..runtime.cases import Case
 def cases() -> Iterator[Case]:
     """One for each pair of numbers of points."""
     for M, N, k in ((300, 1000, 1), (70, 1000, 4), (70, 300, 9), (7, 2, 4), (0, 5, 2), (5, 0, 2)):
-        yield _case(M, N, k)
+        yield Case(name=f"{k} of {N} to {M}", operations=("k_nearest",), run=partial(_run, M, N, k))
 
 
-def _case(M: int, N: int, k: int) -> Case:
-    def run(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
-        g = torch.Generator().manual_seed(0)
-        xyz, others = (torch.randn(n, 3, generator=g).to(device, dtype) + 20 for n in (M, N))
-        distance, row = k_nearest(xyz, others, k)
-        exists = row < N
-        return {"distance": distance.where(exists, 0.0), "exists": exists, "row": row}
-
-    return Case(name=f"{k} of {N} to {M}", operations=("k_nearest",), run=run)
+def _run(M: int, N: int, k: int, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+    xyz, others = (torch.randn(n, 3, generator=torch.Generator().manual_seed(n)).to(device, dtype) + 20 for n in (M, N))
+    distance, row = k_nearest(xyz, others, k)
+    return {"distance": distance.where(row < N, 0.0), "exists": row < N, "row": row}

@@ -3,6 +3,10 @@
 Before, find out what of the map the view can meet: depths between which each tile's rays do, and the voxels that they
 may look up. Rays look D up in a copy that tells what has been observed, or in the map with its W. The march is compiled
 for each: with one for both that branches at every look-up, rays take 10 to 20 % longer.
+
+Tried: packets of 32 rays (9 to 17 % less time, but the vector layer has 16 lanes); rays that start at the nearest voxel
+with D < 0 (hardly less time, and some pixels lose their surface); no copy of the blocks in view from 320x240 on (10 to
+15 % longer); blocks looked up in the table of nodes, as in larger views (20 % longer).
 """
 
 # Intrinsics are called without their typing context, which pyright cannot follow:

@@ -233,12 +233,12 @@ class _Conversion:
         model = self._model(frame, (width, height))
         if self._rectifier is None:
             pinhole = model.fitted(width, height, frame.source).pinhole()
-            size, (rows, columns) = (self._options.width, self._options.height), images.depth_m.shape
-            coarse = width * height > _PIXELS_PER_DEPTH * rows * columns and max(width, height) > _LONG_SIDE
-            if coarse and not any(size):
+            h, w = images.depth_m.shape
+            size, coarse = (self._options.width, self._options.height), width * height > _PIXELS_PER_DEPTH * h * w
+            if coarse and not any(size) and max(width, height) > _LONG_SIDE:
                 size = (_LONG_SIDE, 0) if width >= height else (0, _LONG_SIDE)
                 self._smaller = [
-                    f"colour is {width}x{height}, depth {columns}x{rows}: written with {_LONG_SIDE} pixels on the "
+                    f"colour is {width}x{height}, depth {w}x{h}: written with {_LONG_SIDE} pixels on the "
                     f"longer side, --width {width} writes all of them"
                 ]
             camera = resized_camera(pinhole, *size)
