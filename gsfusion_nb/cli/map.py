@@ -64,6 +64,8 @@ def run(arguments: list[str]) -> int:
     from ..runs import CheckpointEvery, estimate_memory, resume_mapping, run_mapping
 
     every = CheckpointEvery(seconds=options.checkpoint_every_s, frames=options.checkpoint_every_frames)
+    if options.memory_gb and options.device != "cpu":
+        raise ValueError("--memory-gb is for maps on a processor; leave it out, or take --device cpu")
     MAP_MEMORY.limit(options.memory_gb or None)
     with use_backend(options.backend):
         options.check_device()
@@ -79,10 +81,9 @@ def run(arguments: list[str]) -> int:
             return print_result(finished)
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
-        settings = options.settings()
+        settings, reader = options.settings(), reader_options(options)
         if options.estimate_memory:
-            sequence = open_sequence(options.data, data=settings.data, **reader_options(options))
-            needed = estimate_memory(sequence, settings)
+            needed = estimate_memory(open_sequence(options.data, data=settings.data, **reader), settings)
             parts = ", ".join(f"{gb:.2g} GB {what}" for what, gb in needed.items())
             print(f"about {sum(needed.values()):.2g} GB: {parts}; --memory-gb keeps the map in files")
             return 0
@@ -94,7 +95,7 @@ def run(arguments: list[str]) -> int:
             evaluate=options.evaluate,
             checkpoints=every,
             from_gaussians=options.from_gaussians or None,
-            **reader_options(options),
+            **reader,
         )
     return print_result(finished)
 

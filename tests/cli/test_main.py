@@ -63,6 +63,7 @@ def test_preset_is_a_start_that_options_override(tmp_path, capsys):
         (["map", "nowhere"], 1, "nowhere is not a folder; expected one that holds a sequence"),
         (["map"], 1, "expected the folder of a sequence"),
         (["map", "room", "--preset", "repilca"], 1, "no preset 'repilca'; known:"),
+        (["map", "room", "--memory-gb", "1", "--device", "cuda"], 1, "--memory-gb is for maps on a processor"),
         (["map", "room", "--backend", "nubma"], 1, "no backend 'nubma'; known:"),
         (["map", "--resume", "nowhere"], 1, "nowhere does not exist; expected the folder of an interrupted run"),
         (["eval", "nowhere"], 1, "config.json"),
