@@ -45,15 +45,16 @@ def k_nearest(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int
 ) -> tuple[Float[Tensor, "M K"], Int[Tensor, "M K"]]:
     """Distance to the ``k`` nearest of ``others_W`` and their rows, nearest first; if there are fewer,
-    infinite and row N. On the device of the points; differentiable: no."""
+    infinite and row N. Points that are not finite, or more than 1e19 apart, are no neighbours. On the device of the
+    points; differentiable: no."""
     from scipy.spatial import KDTree
 
-    M, N = len(xyz_W), len(others_W)
-    if M == 0 or N == 0:
-        return xyz_W.new_full((M, k), torch.inf), torch.full((M, k), N, dtype=torch.int64, device=xyz_W.device)
-    tree = KDTree(others_W.cpu().numpy(), balanced_tree=False, compact_nodes=False)  # built in half the time
-    distance, row = tree.query(xyz_W.cpu().numpy(), k=k)
-    return torch.from_numpy(distance).view(M, k).to(xyz_W), torch.from_numpy(row).view(M, k).to(xyz_W.device)
+    M, N, far = len(xyz_W), len(others_W), 1e30  # far is for what is not finite: its square overflows in float32
+    points, others = xyz_W.nan_to_num(-far, -far, -far).cpu(), others_W.nan_to_num(far, far, far).cpu()
+    tree = KDTree(others.numpy(), balanced_tree=False, compact_nodes=False)  # built in half the time
+    distance, row = (torch.from_numpy(x).view(M, k).to(xyz_W.device) for x in tree.query(points.numpy(), k=k))
+    none = ~distance.float().square().isfinite()
+    return distance.masked_fill(none, torch.inf).to(xyz_W.dtype), row.masked_fill(none, N)
 
 
 def nearest_others(xyz_W: Float[Tensor, "M 3"], more_W: Float[Tensor, "N 3"], k: int) -> Neighbours:
