@@ -40,10 +40,11 @@ demo: setup
 test: dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-# Runs that are killed and resumed, and damaged files: see docs/trust.md. About two hours.
+# Runs that are killed and resumed, damaged files, and chapters with nothing solved: see docs/trust.md. About two hours.
 campaign: dev
 	$(BIN)/python tests/campaign/kills.py --kills 300
 	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
+	$(BIN)/python -m pytest -n auto --dist worksteal -m slow tests/course tests/test_notebooks.py
 
 # The tables in docs/ whose numbers are older than the code that they depend on, and the commands that measure them again.
 # make measured RENEW="tracking-accuracy ..." RECORDINGS=PATH/TO runs these commands in the folder of the recordings and
