@@ -39,7 +39,7 @@ class WindowConfig(Settings, group="window"):
     """Optimise once in this many frames. Larger: faster, but new areas stay rough for longer. Usual: 3 to 8."""
     frames: int = within(5, 1)
     """How many of the last frames the optimisation uses. Larger: less overfitting to one view, more memory. Usual: 1 to
-    8."""
+    12."""
     iterations: int = within(50, 0)
     """Steps per optimisation of the window. Larger: better pictures, slower. Usual: 20 to 100."""
     lr_xyz: float = within(1e-3, 0, 10)

@@ -167,6 +167,16 @@ def test_frozen_rows_do_not_move_and_the_map_changes_on_write_back_only(generato
     assert (after["xyz_W"] != before["xyz_W"]).any(1)[trained].sum() > 3
 
 
+def test_view_dependent_colour_learns_at_a_twentieth_of_the_base_colour(generator):
+    model = scene(generator)
+    optimiser = SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), WINDOW, DiscConfig())
+    before = optimiser.trained.sh.clone()
+    optimiser.step(view(generator))
+    moved = (optimiser.trained.sh - before).abs()  # Adam's first step is the rate, whatever the gradient
+    assert float(moved[:, 0].max()) == pytest.approx(WINDOW.lr_sh_dc, rel=1e-3)
+    assert float(moved[:, 1:].max()) == pytest.approx(WINDOW.lr_sh_dc / 20, rel=1e-2)
+
+
 @pytest.mark.parametrize("weight", [0.0, 1000.0])
 def test_transparent_rows_are_held_by_the_regulariser(generator, weight, monkeypatch):
     model, seen = scene(generator), view(generator)
