@@ -209,6 +209,7 @@ _COMMANDS = {
 }  # fmt: skip
 _COMPARING = {
     "lab": ("command", "main", "LabOptions"), "sweep": ("studies", "sweep", "SweepOptions"),
-    "study": ("studies", "study", "StudyOptions"), "bench": ("bench", "main", "BenchOptions"),
+    "study": ("studies", "study", "StudyOptions"),
+    "benchmark": ("benchmark", "benchmark", "BenchmarkOptions"), "bench": ("bench", "main", "BenchOptions"),
 }  # fmt: skip
 """Command -> its module in ``compare``, function, and class of options."""

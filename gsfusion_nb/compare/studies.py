@@ -175,7 +175,7 @@ def sweep_specs(options: SweepOptions) -> list[RunSpec]:
         pairs = dict(zip(axes, values, strict=True))
         label = ", ".join(str(v) if n == RULE else f"{n.rpartition('.')[2]} {v}" for n, v in pairs.items())
         variants[label] = {"system": options.system, **pairs}
-    return _specs(variants, options, options.data, online=False)
+    return recording_specs(variants, options, options.data)
 
 
 def study_specs(name: str, options: RecordingOptions, data: str, only: str = "") -> list[RunSpec]:
@@ -188,16 +188,29 @@ def study_specs(name: str, options: RecordingOptions, data: str, only: str = "")
     variants = {label: values for label, values in asked.variants.items() if only.lower() in label.lower()}
     if not variants:
         raise ValueError(f"--only: no variant's name contains {only!r}; there are {', '.join(asked.variants)}")
-    return _specs(variants, options, data, common=asked.common, online=True)
+    return recording_specs(variants, options, data, common=asked.common, online=True)
 
 
-def _specs(
-    variants: Mapping[str, Values], options: RecordingOptions, data: str, *, common: Values | None = None, online: bool
+def recording_specs(
+    variants: Mapping[str, Values], options: RecordingOptions, data: str, *, common: Values | None = None, **fields: Any
 ) -> list[RunSpec]:
+    """A run of each variant and seed on one recording, checked.
+
+    Args:
+        variants: Label -> what is set.
+        options: What was asked for; its settings and options of the reader are set in all runs.
+        data: Folder of the recording, or "room".
+        common: What else is set in all runs, unless ``options`` sets it.
+        fields: Other fields of ``RunSpec``.
+
+    Raises:
+        ValueError, KeyError, TypeError: a setting that does not exist, or a value that is refused.
+    """
     check_whole("seeds", options.seeds, 1)
     place = data if data == "room" else str(Path(data).expanduser().resolve())
     shared, reader = {**(common or {}), **named_values(options.set)}, named_values(options.reader)
-    fields = {"scene": Path(data).name, "data": place, "reader": reader, "preset": options.preset, "online": online}
+    fields = {"scene": Path(data).name, "data": place, "preset": options.preset} | fields
+    fields["reader"] = {**fields.get("reader", {}), **reader}
     specs = [spec_with({**shared, **values}, label, **fields) for label, values in variants.items()]
     for spec in specs:
         spec.config()

@@ -74,6 +74,18 @@ class Box:
         (root / "intrinsics.json").write_text(json.dumps(values))
         return root
 
+    def replica(self, root: Path, n: int = 4, numbers: list[int] | None = None) -> Path:
+        """Replica's layout; cam_params.json lies above the scene, as in the archive. Only the frames ``numbers``."""
+        for i in numbers or range(n):
+            files = root / f"results/frame{i:06d}.jpg", root / f"results/depth{i:06d}.png"
+            self.write_pair(*files, self.poses(n)[i], 6553.5)
+        lines = [" ".join(f"{v:.18e}" for v in T.flatten().tolist()) for T in self.poses(n)]
+        (root / "traj.txt").write_text("\n".join(lines))
+        values = dataclasses.asdict(self.camera) | {"cx": self.camera.cx - 0.5, "cy": self.camera.cy - 0.5}
+        named = {"w": values.pop("width"), "h": values.pop("height"), **values, "scale": 6553.5}
+        (root.parent / "cam_params.json").write_text(json.dumps({"camera": named}))
+        return root
+
 
 @pytest.fixture
 def box():

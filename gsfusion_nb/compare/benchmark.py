@@ -1,0 +1,212 @@
+"""``gsfusion-nb benchmark``: all scenes of a data set by its published protocol, beside the numbers of the papers."""
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from ..backends import use_backend
+from ..checks import check_name
+from ..config.values import named_values, read_packaged
+from ..data.open import known_layouts
+from ..data.recorded.files import missing
+from ..files import SequenceError, write_file
+from ..mapping import SYSTEMS, get_system
+from .command import run_and_write
+from .schedule import flat_settings
+from .spec import RunResult, RunSpec
+from .statistics import group_runs
+from .studies import RecordingOptions, recording_specs
+
+DEEPEST = 3
+"""Scenes are looked for in so many levels of folders."""
+COLUMNS = {
+    "psnr": ("PSNR, dB", ".2f"), "ssim": ("SSIM", ".3f"), "lpips": ("LPIPS", ".3f"), "ate": ("ATE RMSE, cm", ".2f"),
+    "fps": ("frames/s", ".2f"), "mb": ("MB", ".1f"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Published:
+    """A system in a table of a paper; means over the scenes."""
+
+    system: str
+    source: str
+    """The paper and its table."""
+    numbers: Mapping[str, float]
+    """Column -> value: psnr (dB), ssim, lpips, ate (cm), fps, mb. Empty if none is known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataSet:
+    """How a data set is measured."""
+
+    title: str
+    format: str
+    """Name of its reader."""
+    preset: str
+    views: str
+    """Views that are scored: mapped or held_out."""
+    scenes: Sequence[str]
+    """Names of the folders of the scenes that papers report."""
+    settings: Mapping[str, Any]
+    """Settings of all runs."""
+    protocol: Sequence[str]
+    """Sentences: which frames are mapped, which are scored, and what cannot be compared."""
+    reader: Mapping[str, Any] = field(default_factory=dict)
+    published: Sequence[Published] = ()
+
+
+def _read_data_sets() -> dict[str, DataSet]:
+    found = read_packaged(Path(__file__).with_suffix(".toml"))
+    return {
+        name: DataSet(**values | {"published": [Published(**row) for row in values.get("published", ())]})
+        for name, values in found.items()
+    }
+
+
+DATA_SETS = _read_data_sets()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkOptions(RecordingOptions):
+    """Map all scenes of a data set by its published protocol, and write a table beside the numbers of the papers.
+
+    Writes benchmark.md and the files of gsfusion-nb lab. After Ctrl-C the same command continues. Whatever --set
+    changes in the protocol is named in the table."""
+
+    name: Annotated[str, tyro.conf.Positional]
+    """replica, tum, scannetpp or 7scenes."""
+    folder: Annotated[str, tyro.conf.Positional]
+    """The folder with the scenes, or one scene."""
+    systems: tuple[str, ...] = tuple(SYSTEMS)
+    """Names of the mapping systems."""
+
+
+def benchmark(options: BenchmarkOptions) -> int:
+    """Run the command. Returns the exit status of ``run_and_write``.
+
+    Raises:
+        KeyError: no such data set or system. FileNotFoundError: the folder holds no scene of this data set.
+        ValueError: a setting that does not exist, a value that is refused, or no scene that can be read.
+    """
+    check_name("data set", options.name, DATA_SETS)
+    asked = DATA_SETS[options.name]
+    with use_backend(options.backend):
+        specs, unread = benchmark_specs(asked, options)
+        out = Path(options.out or f"runs/benchmark-{options.name}").expanduser()
+        status, results = run_and_write(specs, out, options)
+        text = report(asked, results, named_values(options.set), unread)
+        write_file(out / "benchmark.md", text)
+        print(text)
+    return status
+
+
+def scenes_in(folder: Path, format: str) -> dict[str, Path]:
+    """Name -> folder of each scene of this layout in ``folder``, which may be a scene itself.
+
+    Raises:
+        FileNotFoundError: there is none; the message says what the layout looks for.
+    """
+    layout, found = known_layouts()[format], dict[str, Path]()
+    for place, below, _ in os.walk(folder):
+        inside = Path(place).relative_to(folder)
+        if not missing(layout.locate(Path(place)), layout.looks_for):
+            found["-".join(inside.parts) or folder.resolve().name] = Path(place)
+            below.clear()
+        if len(inside.parts) == DEEPEST:
+            below.clear()
+    if not found:
+        raise FileNotFoundError(
+            f"{folder} holds no scene in the layout {format}; expected a folder with {', '.join(layout.looks_for)}, in "
+            f"it or up to {DEEPEST} folders below"
+        )
+    return dict(sorted(found.items()))
+
+
+def benchmark_specs(asked: DataSet, options: BenchmarkOptions) -> tuple[list[RunSpec], list[str]]:
+    """All runs, checked: scenes x systems x seeds; and a sentence about each scene that cannot be read.
+
+    Raises:
+        KeyError, FileNotFoundError, ValueError: as for ``benchmark``.
+    """
+    variants = {get_system(name).title: {"system": name} for name in options.systems}
+    preset = dataclasses.replace(options, preset=options.preset or asked.preset)
+    reader: dict[str, Any] = {"format": asked.format, **asked.reader}
+    specs, unread = list[RunSpec](), list[str]()
+    for scene, place in scenes_in(Path(options.folder).expanduser(), asked.format).items():
+        fields = {"common": asked.settings, "scene": scene, "online": True, "reader": reader}
+        try:
+            specs += recording_specs(variants, preset, str(place), **fields)
+        except SequenceError as e:
+            unread.append(f"{scene} cannot be read: {e}")
+    if not specs:
+        raise ValueError("\n".join(unread))
+    return specs, unread
+
+
+def report(asked: DataSet, results: Sequence[RunResult], changed: Mapping[str, Any], unread: Sequence[str] = ()) -> str:
+    """The table, our rows first, then the protocol, and under which conditions each of our numbers was measured.
+
+    Args:
+        asked: The data set.
+        results: All runs; a row has the mean over the scenes of a system.
+        changed: Settings that the user gave.
+        unread: Sentences about scenes that cannot be read.
+    """
+    heads = ["system", *(name for name, _ in COLUMNS.values()), "source"]
+    rows, cards = [], []
+    for label in dict.fromkeys(r.spec.label for r in results):
+        own = [r for r in results if r.spec.label == label and r.status == "done"]
+        if own:
+            rows.append([f"**{label}, here**", *_cells(_means(own, asked.views)), f"{_count(own, asked)} scenes"])
+            cards.append(_card(label, own, asked, changed))
+    rows += [[row.system, *_cells(row.numbers), row.source] for row in asked.published]
+    here = {r.spec.scene for r in results}
+    absent = [name for name in asked.scenes if not any(name in scene for scene in here)]
+    said = [*asked.protocol, *([f"Scenes of the papers that are not here: {', '.join(absent)}."] if absent else [])]
+    failed = [f"{r.spec.label} failed on {r.spec.scene}: {r.reason}" for r in results if r.status == "failed"]
+    table = [f"| {' | '.join(row)} |" for row in (heads, ["---", *["---:"] * len(COLUMNS), "---"], *rows)]
+    listed = [f"- {sentence}" for sentence in (*said, *cards, *unread, *failed)]
+    return "\n".join([f"# {asked.title}", "", *table, "", *listed, ""])
+
+
+def _means(own: Sequence[RunResult], views: str) -> dict[str, float]:
+    """Column -> mean over the scenes of the mean over the seeds."""
+    metrics = {
+        "psnr": (f"psnr_{views}_db", 1), "ssim": (f"ssim_{views}", 1), "lpips": (f"lpips_{views}", 1),
+        "ate": ("ate_rmse_m", 100), "fps": ("fps_mean_inverse", 1), "mb": ("model_size_mb", 1),
+    }  # fmt: skip
+    found = {}
+    for column, (metric, scale) in metrics.items():
+        means = [summary.mean for group in group_runs(own) if (summary := group.summary(metric)).n]
+        if means:
+            found[column] = scale * sum(means) / len(means)
+    return found
+
+
+def _cells(numbers: Mapping[str, float]) -> list[str]:
+    return [format(numbers[column], form) if column in numbers else "–" for column, (_, form) in COLUMNS.items()]
+
+
+def _count(own: Sequence[RunResult], asked: DataSet) -> str:
+    scenes = {r.spec.scene for r in own}
+    reported = sum(any(name in scene for scene in scenes) for name in asked.scenes)
+    return f"{reported} of the {len(asked.scenes)}, {len(scenes) - reported} other"
+
+
+def _card(label: str, own: Sequence[RunResult], asked: DataSet, changed: Mapping[str, Any]) -> str:
+    """What a reader must know of our row: frames, size, poses, passes, seeds, and what was changed."""
+    settings = flat_settings(own[0].spec.config())
+    frames = sorted({round(r.metrics["n_frames"]) for r in own})
+    several = f"{frames[0]:,}" if len(frames) == 1 else f"{frames[0]:,} to {frames[-1]:,}"
+    passes = settings.get("optim.global_iterations", settings.get("final.passes"))
+    seeds = len({r.spec.seed for r in own})
+    words = f"{label}: {several} frames mapped a scene, poses {settings['tracking.poses']}, {passes} passes over the "
+    words += f"keyframes after the scan, scores of {asked.views.replace('_', '-')} views, {seeds} seed"
+    words += "s" if seeds > 1 else ""
+    return f"{words}; changed: {', '.join(f'{k}={v}' for k, v in changed.items())}" if changed else words

@@ -1,0 +1,81 @@
+"""Data sets by their published protocol: which scenes are found, what is run, and what the table says."""
+
+import pytest
+from box_room import Box
+
+from gsfusion_nb.cli import main as cli
+from gsfusion_nb.compare.benchmark import COLUMNS, DATA_SETS, BenchmarkOptions, benchmark_specs, report, scenes_in
+from gsfusion_nb.compare.spec import RunResult
+
+QUICK = ("optim.global_iterations=1", "sh_degree=0", "tsdf.voxel_size_m=0.08", "seeding.quadtree_contrast=std")
+
+
+@pytest.fixture
+def replica(tmp_path):
+    """Two scenes, of which papers report one, and one without its last poses."""
+    for name in ("room0", "mine", "office1"):
+        Box().replica(tmp_path / "data" / name)
+    (tmp_path / "data/office1/traj.txt").write_text("")
+    return tmp_path / "data"
+
+
+def test_scenes_are_found_by_their_files(replica):
+    assert list(scenes_in(replica, "replica")) == ["mine", "office1", "room0"]
+    assert list(scenes_in(replica.parent, "replica")) == ["data-mine", "data-office1", "data-room0"]
+    assert scenes_in(replica / "room0", "replica") == {"room0": replica / "room0"}
+    with pytest.raises(FileNotFoundError, match=r"no scene in the layout tum; expected a folder with rgb\.txt"):
+        scenes_in(replica, "tum")
+
+
+@pytest.mark.parametrize("name", DATA_SETS)
+def test_every_protocol_is_complete(name):
+    asked = DATA_SETS[name]
+    assert asked.scenes
+    assert all(sentence.endswith(".") for sentence in asked.protocol)
+    assert all(set(row.numbers) <= set(COLUMNS) and row.source for row in asked.published)
+
+
+def test_the_protocol_is_set_and_what_changes_it_is_kept(replica):
+    options = BenchmarkOptions(name="replica", folder=str(replica), set=("data.scored_views=5",), seeds=2)
+    specs, unread = benchmark_specs(DATA_SETS["replica"], options)
+    assert [s.label for s in specs[:6:2]] == ["GSFusion", "RTG-SLAM", "GPS-SLAM"]
+    assert [(s.scene, s.seed) for s in specs[:2]] == [("mine", 0), ("mine", 1)]
+    assert {(s.config().data.hold_out_every, s.config().data.scored_views, s.preset) for s in specs} == {
+        (0, 5, "replica")
+    }
+    assert len(unread) == 1
+    assert "office1 cannot be read" in unread[0]
+    only = BenchmarkOptions(name="replica", folder=str(replica / "office1"))
+    with pytest.raises(ValueError, match="office1 cannot be read"):
+        benchmark_specs(DATA_SETS["replica"], only)
+
+
+def test_means_over_scenes_stand_above_the_papers_numbers(replica):
+    asked = DATA_SETS["replica"]
+    options = BenchmarkOptions(name="replica", folder=str(replica), systems=("gps_slam",), seeds=2)
+    specs, _ = benchmark_specs(asked, options)
+    psnr = {("mine", 0): 30.0, ("mine", 1): 32.0, ("room0", 0): 40.0}  # the second seed of room0 failed
+    results = [
+        RunResult(spec=s, status="done", metrics={"psnr_mapped_db": psnr[s.scene, s.seed], "n_frames": 4})
+        if (s.scene, s.seed) in psnr
+        else RunResult(spec=s, status="failed", reason="no memory")
+        for s in specs
+    ]
+    text = report(asked, results, {"data.stop": 4}, ["office1 cannot be read: no poses"])
+    ours, first = text.splitlines()[4:6]
+    assert ours == "| **GPS-SLAM, here** | 35.50 | – | – | – | – | – | 1 of the 8, 1 other scenes |"
+    assert first.startswith("| GSFusion | 34.65 | 0.949 | 0.056 | – | 9.73 | 40.1 | Wei & Leutenegger 2024")
+    for words in ("not here: room1, room2, office0", "changed: data.stop=4", "failed on room0: no memory", "no poses"):
+        assert words in text
+
+
+@pytest.mark.ci
+def test_the_command_writes_the_table(replica, tmp_path, capsys):
+    command = ["benchmark", "replica", str(replica / "room0"), "--systems", "gsfusion", "--out", str(tmp_path / "out")]
+    assert cli([*command, "--set", *QUICK]) == 0
+    text = (tmp_path / "out/benchmark.md").read_text()
+    assert text in capsys.readouterr().out
+    assert "| **GSFusion, here** |" in text
+    assert (tmp_path / "out/runs.csv").is_file()
+    assert cli(["benchmark", "replica", str(tmp_path / "nowhere")]) == 1
+    assert "holds no scene in the layout replica" in capsys.readouterr().err
