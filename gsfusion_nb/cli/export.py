@@ -3,13 +3,13 @@
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 import tyro
 
 from ..config.values import parse_options
-from ..types import GaussianParams, Mesh
+from ..types import Camera, GaussianParams, Mesh
 
 _AS_IN_FILES = "-y"
 """Up in files of Gaussians that come without a trajectory: most trainers start from the first camera."""
@@ -19,20 +19,21 @@ _AS_IN_FILES = "-y"
 class ExportOptions:
     """Write the maps of a run, or a file of Gaussians, for other programs, right side up.
 
-    A .glb file holds Gaussians and mesh in one frame, y up; a .ply file holds the Gaussians, -y up (of GPS-SLAM with
-    its surface as discs); a folder gets gaussians.ply and mesh.ply in one frame, -y up, and map.glb."""
+    A .glb file holds Gaussians and mesh in one frame, y up; a .usda file (OpenUSD) holds also the moving camera; a .ply
+    file holds the Gaussians, -y up (of GPS-SLAM with its surface as discs); a folder gets gaussians.ply and mesh.ply in
+    one frame, -y up, and map.glb."""
 
     source: Annotated[Path, tyro.conf.Positional]
     """Folder of a run, or a .ply file of Gaussians."""
     out: Annotated[Path, tyro.conf.Positional]
-    """File to write, .glb or .ply, or a folder."""
+    """File to write, .glb, .usda or .ply, or a folder."""
     up: str = "auto"
     """Direction of the map that points up: +x, -x, +y, -y, +z, -z, or three numbers such as 0.1,0,1. Default: the mean
     of the cameras' up directions in the run's trajectory; without a trajectory -y."""
     upright: bool = True
-    """Turn .ply files so that -y is up, as viewers of splats expect. A .glb file is always upright."""
+    """Turn .ply files so that -y is up, as viewers of splats expect. Other files are always upright."""
     mesh: bool = True
-    """Put the mesh of a run into a .glb file."""
+    """Put the mesh of a run into a .glb or .usda file."""
     bake_steps: int = 200
     """A run of GPS-SLAM draws its Gaussians over a surface. In a .ply file the surface becomes discs, and all are
     fitted to this many pictures of the map; 0: no fit, which is quick and less sharp; -1: no discs, the corrections
@@ -41,7 +42,7 @@ class ExportOptions:
 
 def run(arguments: list[str]) -> int:
     """The command. Exit status 0: the files are written."""
-    from ..export import write_gaussian_ply, write_map_glb, write_mesh_ply
+    from ..export import write_gaussian_ply, write_map_glb, write_map_usda, write_mesh_ply
     from ..gaussians.rows import moved
     from ..geometry.upright import turn_to_minus_y_up
 
@@ -55,6 +56,9 @@ def run(arguments: list[str]) -> int:
     if suffix == ".glb" or not suffix:
         written.append(options.out if suffix else options.out / "map.glb")
         write_map_glb(written[0], gaussians, mesh if options.mesh else None, up=up)
+    if suffix == ".usda":
+        written.append(options.out)
+        write_map_usda(options.out, gaussians, mesh if options.mesh else None, up=up, **_moving_camera(options.source))
     if suffix == ".ply" or not suffix:
         written.append(options.out if suffix else options.out / "gaussians.ply")
         write_gaussian_ply(written[-1], moved(standard, R) if options.upright else standard)
@@ -63,9 +67,11 @@ def run(arguments: list[str]) -> int:
         turned = (mesh.vertices_W.double() @ R.T).float()
         write_mesh_ply(written[-1], dataclasses.replace(mesh, vertices_W=turned))
     if not written:
-        raise ValueError(f"{options.out} must end in .glb or .ply, or be a folder")
+        raise ValueError(f"{options.out} must end in .glb, .usda or .ply, or be a folder")
     for path in written:
-        frame = "+y up" if path.suffix == ".glb" else "-y up" if options.upright else "in the frame of the map"
+        frame = (
+            "+y up" if path.suffix in (".glb", ".usda") else "-y up" if options.upright else "in the frame of the map"
+        )
         print(f"wrote {path} ({path.stat().st_size / 1e6:.2f} MB, {frame})")
     return 0
 
@@ -80,6 +86,20 @@ def _read(source: Path) -> tuple[GaussianParams, Mesh | None]:
     return read_gaussian_ply(source / "gaussians.ply"), read_mesh_ply(mesh) if mesh.is_file() else None
 
 
+def _moving_camera(source: Path) -> dict[str, Any]:
+    """Intrinsics, poses and times of a run; empty, with a sentence, where the source does not have them."""
+    from ..export import read_trajectory_tum
+    from ..files import read_object
+
+    file = source / "config.json"
+    settings = read_object(file, "the settings of a run") if file.is_file() else {}
+    if "camera" not in settings:
+        print(f"{source} does not say which camera it was mapped with, so the stage has none.")
+        return {}
+    times_s, poses = read_trajectory_tum(source / "trajectory.txt")
+    return {"camera": Camera(**settings["camera"]), "poses": poses, "times_s": times_s}
+
+
 def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianParams:
     """The Gaussians for a .ply file: a surface that they are drawn over as discs, too."""
     from ..config import from_dict
@@ -89,7 +109,7 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     from ..mapping.systems import get_system
 
     folder = options.source
-    if not (folder / TSDF).is_file() or options.bake_steps < 0 or options.out.suffix.lower() == ".glb":
+    if not (folder / TSDF).is_file() or options.bake_steps < 0 or options.out.suffix.lower() in (".glb", ".usda"):
         return gaussians
     settings = read_object(folder / "config.json", "the settings of a run", objects=("config",))
     system = get_system(settings.get("system", "gsfusion"))

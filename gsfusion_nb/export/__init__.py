@@ -1,4 +1,4 @@
-"""Files for other programs (Gaussians, meshes, both in one glTF file, trajectories) and checkpoints, all atomic."""
+"""Files for other programs (Gaussians, meshes, both in glTF or OpenUSD, trajectories) and checkpoints, all atomic."""
 
 from .checkpoint_store import CheckpointStore as CheckpointStore
 from .glb import write_map_glb as write_map_glb
@@ -10,3 +10,4 @@ from .trajectory import read_trajectory_tum as read_trajectory_tum
 from .trajectory import write_trajectory_tum as write_trajectory_tum
 from .tsdf_file import read_tsdf as read_tsdf
 from .tsdf_file import write_tsdf as write_tsdf
+from .usd import write_map_usda as write_map_usda

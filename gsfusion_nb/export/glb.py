@@ -53,9 +53,7 @@ def write_map_glb(path: str | Path, gaussians: GaussianParams, mesh: Mesh | None
     Raises:
         ValueError: a Gaussian with NaN or infinities.
     """
-    for name, column in vars(gaussians).items():
-        if not bool(column.isfinite().all()):
-            raise ValueError(f"{name} of {int((~column.isfinite()).any(-1).sum())} Gaussians is NaN or infinite")
+    check_gaussians(gaussians)
     arrays, nodes, meshes, used = _Arrays(), [], [], []
     if len(gaussians):
         nodes.append({"name": "Gaussians", "mesh": len(meshes)})
@@ -81,6 +79,13 @@ def write_map_glb(path: str | Path, gaussians: GaussianParams, mesh: Mesh | None
         file.write(struct.pack("<4sII", b"glTF", 2, total) + struct.pack("<I4s", len(text), b"JSON") + text + chunk)
         for part in arrays.parts:
             file.write(part)
+
+
+def check_gaussians(gaussians: GaussianParams) -> None:
+    """Raise ``ValueError`` for Gaussians with NaN or infinities, which no viewer draws."""
+    for name, column in vars(gaussians).items():
+        if not bool(column.isfinite().all()):
+            raise ValueError(f"{name} of {int((~column.isfinite()).any(-1).sum())} Gaussians is NaN or infinite")
 
 
 class _Arrays:
@@ -110,7 +115,7 @@ class _Arrays:
         return len(self.accessors) - 1
 
 
-def _linear(rgb: torch.Tensor) -> np.ndarray:
+def linear_rgb(rgb: torch.Tensor) -> np.ndarray:
     """Linear RGB values of sRGB values in 0..1 (IEC 61966-2-1), float64."""
     srgb = rgb.detach().double().clamp(0, 1).cpu().numpy()
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
@@ -123,7 +128,7 @@ def _floats(column: torch.Tensor) -> np.ndarray:
 def _surface(arrays: _Arrays, mesh: Mesh) -> dict[str, Any]:
     attributes = {
         "POSITION": arrays.add(_floats(mesh.vertices_W), bounds=True),
-        "COLOR_0": arrays.add(_linear(mesh.rgb).astype("<f4")),
+        "COLOR_0": arrays.add(linear_rgb(mesh.rgb).astype("<f4")),
     }
     indices = arrays.add(mesh.faces.cpu().numpy().astype("<u4").reshape(-1), target=_INDICES)
     return {"attributes": attributes, "indices": indices, "material": 0, "mode": 4}
@@ -131,7 +136,7 @@ def _surface(arrays: _Arrays, mesh: Mesh) -> dict[str, Any]:
 
 def _splats(arrays: _Arrays, g: GaussianParams) -> dict[str, Any]:
     opacity, sh = g.opacity_logit.double().sigmoid(), g.sh
-    colour = _linear(sh[:, 0].double() * SH_C0 + 0.5)
+    colour = linear_rgb(sh[:, 0].double() * SH_C0 + 0.5)
     points = np.concatenate([colour, opacity.cpu().numpy()[:, None]], axis=1)  # for programs without the extension
     attributes = {
         "POSITION": arrays.add(_floats(g.xyz_W), bounds=True),

@@ -93,6 +93,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "gsfusion_nb": __version__,
         "system": run.system,
         "source": run.source,
+        "camera": dataclasses.asdict(run.sequence.mapping.camera),
         "data_content": sequence_fingerprint(run.sequence) if run.source else "",
         "device": str(run.mapper.device),
         "rule": rule_name(run.mapper.rule),

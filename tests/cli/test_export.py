@@ -1,5 +1,7 @@
 """``gsfusion-nb export``: right side up, from a run's folder and from a file."""
 
+import json
+
 import pytest
 import torch
 
@@ -48,10 +50,24 @@ def test_from_file_to_file(folder, tmp_path):
     assert read_gaussian_ply(second).xyz_W.tolist() == [[0, 2, 1]]
 
 
+def test_an_openusd_stage_has_the_camera_that_the_run_names(folder, tmp_path, capsys):
+    stage = tmp_path / "map.usda"
+    assert main(["export", str(folder), str(stage)]) == 0
+    assert "does not say which camera" in capsys.readouterr().out
+    assert "def Camera" not in stage.read_text()
+    camera = {"width": 64, "height": 48, "fx": 60.0, "fy": 58.0, "cx": 31.3, "cy": 24.9}
+    (folder / "config.json").write_text(json.dumps({"camera": camera}))
+    assert main(["export", str(folder), str(stage), "--no-mesh"]) == 0
+    assert "+y up" in capsys.readouterr().out
+    text = stage.read_text()
+    assert text.count("xformOp:transform.timeSamples") == 1
+    assert "def Mesh" not in text
+
+
 @pytest.mark.parametrize(
     ("out", "more", "sentence"),
     [
-        ("map.obj", [], "must end in .glb or .ply, or be a folder"),
+        ("map.obj", [], "must end in .glb, .usda or .ply, or be a folder"),
         ("map.glb", ["--up", "z"], "no up axis 'z'; known: +x, +y, +z, -x, -y, -z"),
         ("map.glb", ["--up", "0,0,0"], "direction of three numbers"),
     ],
