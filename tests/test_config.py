@@ -10,7 +10,7 @@ from gsfusion_nb.config import GSFusionConfig, from_dict, gsfusion, gsfusion_fid
     [("replica", 5, 3, 2, 10, False), ("scannetpp", 10, 1, 9, 10, True), ("tum", 10, 5, 5, 20, False)],
 )
 def test_presets_carry_the_published_numbers(preset, m, n, random, passes, all_frames):
-    c = gsfusion(preset)
+    c = gsfusion(preset, "paper_steps")
     o = c.optim
     assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (m, n, random)
     assert (o.global_iterations, o.ssim_weight, c.keep_all_frames) == (passes, 0.2, all_frames)
@@ -34,14 +34,26 @@ def test_what_the_released_code_does(preset):
     assert (c.optim.ssim_weight, c.optim.adam_steps) == (0.2, "shared")
     assert not c.seeding.one_per_voxel
     assert (c.data.hold_out_every, c.data.scored_views) == (0, 0)
-    assert c.optim.keyframe_iterations == gsfusion(preset).optim.keyframe_iterations
+    assert c.optim.keyframe_iterations == gsfusion(preset, "paper_steps").optim.keyframe_iterations
 
 
 def test_measured_is_the_default():
-    assert gsfusion("tum") == gsfusion("tum", "measured")
-    assert gsfusion() == GSFusionConfig()
-    with pytest.raises(KeyError, match="no fidelity 'papre'; known: code, measured, paper"):
+    assert gsfusion("room") == gsfusion("room", "measured")
+    assert gsfusion(fidelity="paper_steps") == GSFusionConfig()
+    with pytest.raises(KeyError, match="no fidelity 'papre'; known: code, measured, paper, paper_steps"):
         gsfusion("room", "papre")
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_measured_takes_fewer_steps_where_no_data_set_has_its_own(preset):
+    ours, papers = gsfusion(preset), gsfusion(preset, "paper_steps")
+    if preset in ("scannetpp", "tum"):
+        assert ours == papers
+    else:
+        o = ours.optim
+        assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (3, 1, 2)
+        assert (o.lr_xyz, o.depth_weight) == (2 * papers.optim.lr_xyz, 0.2)
+        assert replace(ours, optim=papers.optim) == papers
 
 
 @pytest.mark.parametrize("preset", presets())

@@ -71,7 +71,7 @@ class OptimConfig(Settings, group="optim"):
     depth_weight: float = within(0.0, 0, 1e6)
     """Weight of the mean depth error in metres, over the pixels with measured depth, in all steps. The rendered depth
     is not divided by alpha, so the loss also closes holes. Larger: closer to the measured depth, noise included. 0 as
-    published; SplaTAM has 2 in units of its colour loss."""
+    published, 0.2 by default; SplaTAM has 2 in units of its colour loss."""
     isotropy_weight: float = within(0.0, 0, 1e6)
     """Weight of the mean difference, in metres, between a Gaussian's three sizes and their mean, in all steps. Larger:
     rounder Gaussians, fewer long needles. 0 as published; MonoGS has 10."""
@@ -112,7 +112,8 @@ def gsfusion(preset: str = "replica", fidelity: str = "measured", **overrides: A
     Args:
         preset: Name of the preset.
         fidelity: Which to follow where they differ: "paper", "code" (as released), or "measured", our defaults, which
-            gave the better result in our measurements. ``docs/gsfusion.md`` lists every difference.
+            gave the better result in our measurements. "paper_steps" is "measured" with the paper's optimisation: five
+            steps a frame, its learning rates and no depth in the loss. ``docs/gsfusion.md`` lists every difference.
         overrides: Fields to change, nested ones with a dict or a double underscore:
             ``gsfusion("replica", optim__global_iterations=0, sh_degree=0)``.
 

@@ -171,6 +171,8 @@ class Presets:
         check_name("fidelity", fidelity, self.fidelities)
         config = replace(self.start, **self.of_data[preset])
         own = dict(self.fidelities[fidelity])
+        if preset in own.pop("not_on", ()):
+            own = {}
         like = self.fidelities.get(own.pop("like", ""), {})
         last = self.of_code.get(preset, {}) if fidelity == "code" else {}
         for layer in (like, own, last):

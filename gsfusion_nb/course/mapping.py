@@ -305,7 +305,8 @@ def _second(attempt: Attempt, mapper: GSFusion, log: Log, on: str) -> None:
 
 
 def _small_mapper() -> GSFusion:
-    config = gsfusion("online", sh_degree=0, tsdf__voxel_size_m=0.05, seeding__quadtree_contrast="std")
+    small = {"sh_degree": 0, "tsdf__voxel_size_m": 0.05, "seeding__quadtree_contrast": "std"}
+    config = gsfusion("online", "paper_steps", **small)
     return GSFusion(config)
 
 

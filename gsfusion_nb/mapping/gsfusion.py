@@ -28,7 +28,7 @@ class GSFusion(TsdfMapping):
     title = "GSFusion"
     config_type = GSFusionConfig
     preset = staticmethod(gsfusion)
-    fidelities = ("measured", "paper", "code")
+    fidelities = ("measured", "paper_steps", "paper", "code")
     fidelity_of = staticmethod(gsfusion_fidelity)
     panels = ("input", "render", "error", "quadtree_seeds")
     memory_savers = ("a larger seeding.quadtree_threshold", "larger voxels (tsdf.voxel_size_m)")

@@ -112,7 +112,7 @@ class Mapper(ABC):
         optimiser: UpdateFunction | None = None,
     ):
         self.training = Training(loss, optimiser)
-        config = config or self.config_type()
+        config = config or self.preset("replica")
         self.rule = find_rule(seeding if seeding is not None else config.seeding.rule)
         self.config = settings_with_rule(config, self.rule)
         self.rule_in_use = RuleInUse(self.rule, self.config.seeding.options)

@@ -19,7 +19,7 @@ def test_the_reference_step_maps_as_the_library_does():
 
 
 def test_the_plan_is_the_librarys():
-    optim = gsfusion().optim
+    optim = gsfusion(fidelity="paper_steps").optim
     numbers = (optim.keyframe_iterations, optim.frame_iterations, optim.random_keyframe_iterations)
     assert numbers == (5, 3, 2)  # paper, section IV-A.4, Replica
     assert mapping._plan_frame(51, 3, *numbers, gsfusion().keyframe_min_seeds) == (True, 5, 0)
