@@ -52,8 +52,8 @@ def test_measured_takes_fewer_steps_where_no_data_set_has_its_own(preset):
     else:
         o = ours.optim
         assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (3, 1, 2)
-        assert (o.lr_xyz, o.depth_weight) == (2 * papers.optim.lr_xyz, 0.2)
-        assert replace(ours, optim=papers.optim) == papers
+        assert (o.lr_xyz, o.depth_weight, ours.keyframe_max_gap) == (2 * papers.optim.lr_xyz, 0.2, 5)
+        assert replace(ours, optim=papers.optim, keyframe_max_gap=0) == papers
 
 
 @pytest.mark.parametrize("preset", presets())

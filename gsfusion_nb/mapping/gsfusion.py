@@ -1,5 +1,6 @@
 """GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in the paper's order."""
 
+import bisect
 from typing import Any
 
 from jaxtyping import Float
@@ -96,6 +97,10 @@ class GSFusion(TsdfMapping):
     def _plan(self, frame: Frame, n_seeds: int) -> tuple[bool, int, int]:
         """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its seeds do not count."""
         optim, least, known = self.config.optim, self.config.keyframe_min_seeds, self.is_next_keyframe(frame)
+        gap = self.config.keyframe_max_gap
+        if known is None and gap and len(self.keyframes):
+            mapped = self.localiser.frame_indices
+            known = len(mapped) - bisect.bisect_left(mapped, self.keyframes[-1].index) >= gap or None
         return plan_frame(
             n_seeds if known is None else known * (least + 1),
             len(self.keyframes) + self.config.keep_all_frames,

@@ -72,7 +72,7 @@ def test_a_live_folder_takes_the_same_options(system, preset):
         (["room", "--system", "rtgslam"], "no system 'rtgslam'; known: gps_slam, gsfusion, rtg_slam"),
         (["room", "--preset", "repilca"], "no preset 'repilca'; known:"),
         (["room", "--system", "rtg_slam", "--fidelity", "papre"], "has no --fidelity papre; known: measured, paper"),
-        (["room", "--fidelity", "printed"], "GSFusion has no --fidelity printed; known: measured, paper_steps, paper, code"),
+        (["room", "--fidelity", "printed"], "no --fidelity printed; known: measured, paper_steps, paper, code"),
         (["room", "--from-config", __file__], "is not valid JSON .*; expected the config.json of a run"),
         (["room", "--rule-options", "share"], "expected an option as name=value, got 'share'"),
     ],

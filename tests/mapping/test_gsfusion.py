@@ -1,3 +1,5 @@
+import dataclasses
+
 import torch
 
 from gsfusion_nb.config import replace
@@ -44,6 +46,15 @@ def test_steps_per_frame_follow_the_paper(split, config):
         assert len(report.losses) == (4 if report.is_keyframe else 2)
         kinds.add(report.is_keyframe)
     assert kinds == {True, False}
+
+
+def test_a_camera_that_sees_nothing_new_makes_keyframes_too(split, config):
+    still = [dataclasses.replace(split.mapping[0], index=k) for k in range(8)]
+    for gap, expected in ((0, [0]), (3, [0, 3, 6])):
+        mapper = GSFusion(replace(config, keyframe_max_gap=gap))
+        reports = [mapper.step(frame) for frame in still]
+        assert [k.index for k in mapper.keyframes] == expected
+        assert [r.frame_index for r in reports if r.is_keyframe] == expected
 
 
 def test_a_voxel_holds_at_most_one_gaussian(split, config):
