@@ -156,14 +156,6 @@ def offered(name: str) -> tuple[str, ...]:
     return tuple(b for b in BACKENDS[1:] if b in files and _defines(package, b, name))
 
 
-def cases() -> Iterator[Any]:
-    """Every ``Case`` of every operation's folder (``kernels/<folder>/cases.py``), for parity tests and warm-up."""
-    root = importlib.import_module(_KERNELS)
-    for path in sorted(path for folder in root.__path__ for path in Path(folder).glob("*/cases.py")):
-        if path.parent.name != "runtime":
-            yield from importlib.import_module(f"{_KERNELS}.{path.parent.name}.cases").cases()
-
-
 def _defines(package: ModuleType, backend: str, name: str) -> bool:
     """Whether the backend's module has a function ``name``, read without importing it."""
     source = importlib.resources.files(package).joinpath(f"{backend}.py").read_text(encoding="utf-8")
