@@ -134,11 +134,6 @@ def piece(reference: Callable) -> Callable:
     return dispatch
 
 
-def replaceable() -> frozenset[str]:
-    """Names of the operations and pieces that a learner can replace, among those declared so far."""
-    return frozenset(_OPS) | frozenset(_PIECES)
-
-
 def operations() -> tuple[str, ...]:
     """Names of the operations that some backend besides the reference offers, among those declared so far."""
     return tuple(sorted(name for name in _OPS if offered(name)))
