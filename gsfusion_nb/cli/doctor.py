@@ -160,7 +160,7 @@ def _examples() -> list[SystemConfig]:
     coarse, tracked = {"voxel_size_m": 0.05}, {"poses": "tracked", "landmarks": True, "back_end": True}
     rules = [{"rule": "default_strategy", "options": {"absgrad": absolute}} for absolute in (False, True)]
     return [
-        gsfusion("room", tsdf=coarse, seeding=rules[0]),
+        *(gsfusion("room", tsdf=coarse, seeding=rule) for rule in rules),
         gsfusion("room", tsdf=coarse, tracking=tracked),
         rtg_slam("room", tracking=tracked, window={"iterations": 2, "every_frames": 2}),
         gps_slam("room", tsdf=coarse, schedule__every_frames=2),
@@ -177,7 +177,8 @@ def _map(config: SystemConfig) -> None:
         mapper.step(dataclasses.replace(frame, rgb=frame.rgb) if index == 2 else frame)
     for _ in mapper.global_optimise(1):
         pass
-    mapper.render(frame.camera, frame.T_WC)
+    for camera in (frame.camera, frame.camera.resized(24, 18)):  # rays look up voxels in another way if they are few
+        mapper.render(camera, frame.T_WC)
     if not mapper.gaussians_are_discs:
         mapper.mesh()
 
