@@ -134,11 +134,6 @@ def piece(reference: Callable) -> Callable:
     return dispatch
 
 
-def replaceable() -> frozenset[str]:
-    """Names of the operations and pieces that a learner can replace, among those declared so far."""
-    return frozenset(_OPS) | frozenset(_PIECES)
-
-
 def operations() -> tuple[str, ...]:
     """Names of the operations that some backend besides the reference offers, among those declared so far."""
     return tuple(sorted(name for name in _OPS if offered(name)))
@@ -154,14 +149,6 @@ def offered(name: str) -> tuple[str, ...]:
         return ()
     files = {path.stem for folder in package.__path__ for path in Path(folder).glob("*.py")}
     return tuple(b for b in BACKENDS[1:] if b in files and _defines(package, b, name))
-
-
-def cases() -> Iterator[Any]:
-    """Every ``Case`` of every operation's folder (``kernels/<folder>/cases.py``), for parity tests and warm-up."""
-    root = importlib.import_module(_KERNELS)
-    for path in sorted(path for folder in root.__path__ for path in Path(folder).glob("*/cases.py")):
-        if path.parent.name != "runtime":
-            yield from importlib.import_module(f"{_KERNELS}.{path.parent.name}.cases").cases()
 
 
 def _defines(package: ModuleType, backend: str, name: str) -> bool:

@@ -101,7 +101,7 @@ import torch
 
 from gsfusion_nb.optim import toy_operation
 
-from ..runtime.cases import Case
+from . import Case
 
 
 def cases():
@@ -243,7 +243,7 @@ WHOLE = {
     "an operation": {
         "gsfusion_nb/optim/toy_operation.py": OPERATION,
         "gsfusion_nb/optim/__init__.py": ("+", "from .toy_operation import toy_operation as toy_operation\n"),
-        "kernels/toy_operation/cases.py": CASES,
+        "tests/plugins/kernel_cases/toy_operation.py": CASES,
     },
     "a backend of an operation": {"kernels/toy_operation/numba.py": BACKEND},
     "a system": {
@@ -295,7 +295,9 @@ assert len(walls) == 3 and float(walls[1].depth_m.mean()) == 1.5
 
 assert toy_operation.reference(torch.ones(2)).tolist() == [2, 2]
 assert backends.offered("toy_operation") == ("numba",)
-mine = [case for case in backends.cases() if case.operations == ("toy_operation",)]
+sys.path.append("tests/plugins")
+from kernel_cases import all_cases
+mine = [case for case in all_cases() if case.operations == ("toy_operation",)]
 by_backend = []
 for name in ("reference", "numba"):
     with backends.use_backend(name):
@@ -350,6 +352,7 @@ def copy(tmp_path_factory) -> Path:
     shutil.copytree(ROOT / "gsfusion_nb", root / "gsfusion_nb", ignore=without_kernels)
     shutil.copytree(ROOT / "kernels", root / "gsfusion_nb/kernels", ignore=without_kernels)
     (root / "kernels").symlink_to(root / "gsfusion_nb/kernels")
+    shutil.copytree(ROOT / "tests/plugins/kernel_cases", root / "tests/plugins/kernel_cases", ignore=without_kernels)
     (root / "notebooks").mkdir()
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(ROOT / name, root)

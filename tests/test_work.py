@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from gsfusion_nb import work
+from gsfusion_nb.cli.map import memory_needed_gb
 from gsfusion_nb.config import TsdfConfig, gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.mapping import make_mapper
-from gsfusion_nb.runs import estimate_memory
 from gsfusion_nb.runs.outputs import hash_of
 from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.work import MAP_MEMORY
@@ -90,7 +90,7 @@ def test_a_limit_that_is_none_is_refused(gb):
 def test_the_memory_of_a_map_is_known_before_it_is_made():
     config = replace(gsfusion("room"), data__width=64, data__height=48)
     sequence = open_sequence("room", data=config.data, n_frames=30)
-    needed, mapper = estimate_memory(sequence, config), make_mapper(config)
+    needed, mapper = memory_needed_gb(sequence, config), make_mapper(config)
     for i in range(len(sequence.mapping)):
         mapper.step(sequence.mapping[i])
     assert needed["voxel blocks"] == pytest.approx(mapper.volume.memory_bytes / 1e9, rel=1e-6)
@@ -102,4 +102,4 @@ def test_without_poses_the_memory_is_not_known(monkeypatch):
     sequence = open_sequence("room", n_frames=4)
     monkeypatch.setattr(RoomSequence, "has_poses", False, raising=False)
     with pytest.raises(SequenceError):
-        estimate_memory(sequence, gsfusion("room"))
+        memory_needed_gb(sequence, gsfusion("room"))

@@ -1,28 +1,27 @@
 """``gsfusion-nb doctor``: what is installed, what works, and what to do where it does not; ``--warm`` compiles.
 
-``warm`` compiles every fast kernel once, so that no notebook waits for it later: each operation runs on a handful of
-values. Compiled code is kept on disk. What is compiled depends on the types of the arguments, not on their size, so a
-picture of 64 x 48 pixels is enough.
+``warm`` compiles every fast kernel once, so that no notebook waits for it later: each system maps a few frames of the
+built-in room. Compiled code is kept on disk. What is compiled depends on the types of the arguments, not on their size,
+so small pictures are enough.
 """
 
 import contextlib
 import dataclasses
-import functools
 import importlib.metadata
 import logging
 import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
 
 from .. import __version__, backends
-from ..config import SystemConfig, gps_slam, gsfusion, rtg_slam
+from ..config import DataConfig, SystemConfig, gps_slam, gsfusion, rtg_slam
+from ..data import open_sequence
 from ..mapping import make_mapper
-from ..types import Camera, Frame
 from ..work import ProgressDisplay
 
 PACKAGES = (
@@ -79,25 +78,25 @@ def main() -> int:
 
 
 def warm() -> int:
-    """Compile the fast kernels once and show which. Returns 0, or 1 if no fast kernel can run here.
+    """Compile the fast kernels once and show for what. Returns 0, or 1 if no fast kernel can run here.
 
     Uses what ``auto`` would choose, and leaves out what is not installed. On one thread: on so little data more gain
     nothing, and on a busy machine they wait for each other.
     """
     from ..compare.bench.timing import threads
 
-    print("Compiling the fast kernels once, so that programs and notebooks start faster (about a minute) ...")
-    todo, start = compiled_cases(), time.perf_counter()
-    if not todo:
+    if all(backends.automatic(name, "cpu") == "reference" for name in backends.operations()):
         print("No fast kernels can run here, so there is nothing to compile; gsfusion-nb doctor shows why.")
         return 1
+    print("Compiling the fast kernels once, so that programs and notebooks start faster (about a minute) ...")
+    start, todo = time.perf_counter(), _examples()
     with (
-        ProgressDisplay("compiling", total=len(todo), unit="case") as display,
+        ProgressDisplay("compiling", total=len(todo), unit="map") as display,
         backends.use_backend("auto"), _quietly(), threads(1),
     ):  # fmt: skip
-        for done, case in enumerate(todo):
-            display.show(done, note=case.name)
-            case.run()
+        for done, config in enumerate(todo):
+            display.show(done, note=type(config).__name__)
+            _map(config)
         display.show(len(todo))
     print(f"All fast kernels are compiled and stored on disk ({time.perf_counter() - start:.0f} s).")
     return 0
@@ -156,66 +155,32 @@ def _drawing() -> EnvironmentCheck:
     return EnvironmentCheck("VTK drawing", ok, why, remedy, needed=False)
 
 
-_WIDTH, _HEIGHT = 64, 48
+def _examples() -> list[SystemConfig]:
+    """Settings that together use every operation; the rule asks for gradients of centres in the image."""
+    coarse, tracked = {"voxel_size_m": 0.05}, {"poses": "tracked", "landmarks": True, "back_end": True}
+    rules = [{"rule": "default_strategy", "options": {"absgrad": absolute}} for absolute in (False, True)]
+    return [
+        *(gsfusion("room", tsdf=coarse, seeding=rule) for rule in rules),
+        gsfusion("room", tsdf=coarse, tracking=tracked),
+        rtg_slam("room", tracking=tracked, window={"iterations": 2, "every_frames": 2}),
+        gps_slam("room", tsdf=coarse, schedule__every_frames=2),
+        gps_slam("room", tsdf=coarse, schedule__every_frames=2, seeding=rules[1]),
+    ]
 
 
-@dataclass(frozen=True)
-class WarmUpCase:
-    """A piece of work that makes its operations' kernels compile."""
-
-    name: str
-    operations: tuple[str, ...]
-    run: Callable[[], object]
-
-
-def compiled_cases(device: str = "cpu") -> list[WarmUpCase]:
-    """The cases of which ``auto`` takes compiled kernels."""
-    return [case for case in warm_up_cases(device) if any(_is_compiled(name, device) for name in case.operations)]
-
-
-def warm_up_cases(device: str = "cpu") -> Iterator[WarmUpCase]:
-    """One for each case of an operation's folder, and the mappers of the systems at the end."""
-    for case in backends.cases():
-        if torch.float32 in case.dtypes:
-            run = functools.partial(case.run, torch.device(device), torch.float32)
-            yield WarmUpCase(f"{' and '.join(case.operations)}: {case.name}", case.operations, run)
-    frames = [_frame(device, whole_numbers=n) for n in (True, False)]
-    tsdf = {"voxel_size_m": 0.05, "truncation_voxels": 2.0}
-    configs = (
-        gsfusion("replica", tsdf=tsdf, seeding={"quadtree_threshold": 1e-3}, keyframe_min_seeds=1),
-        rtg_slam("replica", tracking__poses="tracked", window__iterations=2, window__every_frames=3),
-        gps_slam("replica", tsdf__voxel_size_m=0.05, schedule__every_frames=2),
-    )
-    for config in configs:
-        run = functools.partial(_map, config, frames, device)
-        yield WarmUpCase(f"whole mapper: {type(config).__name__}", backends.operations(), run)
-
-
-def _map(config: SystemConfig, frames: list[Frame], device: str) -> None:
-    mapper = make_mapper(config, device=device)
-    for index in range(3):
-        mapper.step(dataclasses.replace(frames[index % 2], index=index, timestamp_s=float(index)))
+def _map(config: SystemConfig) -> None:
+    """Map five frames: colours from 8 bits and between them, and a jump after which the camera is sought again."""
+    room = open_sequence("room", data=DataConfig(width=320, height=240, hold_out_every=0), n_frames=600).mapping
+    mapper = make_mapper(config)
+    for index, position in enumerate((0, 1, 2, 40, 41)):
+        frame = dataclasses.replace(room[position], index=index, timestamp_s=float(index))
+        mapper.step(dataclasses.replace(frame, rgb=frame.rgb) if index == 2 else frame)
     for _ in mapper.global_optimise(1):
         pass
-    mapper.render(frames[0].camera, frames[0].T_WC)
+    for camera in (frame.camera, frame.camera.resized(24, 18)):  # rays look up voxels in another way if they are few
+        mapper.render(camera, frame.T_WC)
     if not mapper.gaussians_are_discs:
         mapper.mesh()
-
-
-def _frame(device: str, *, whole_numbers: bool) -> Frame:
-    """A checked, slanted wall 1.5 m away; colours as from 8 bits, or between them."""
-    v, u = torch.meshgrid(torch.arange(_HEIGHT), torch.arange(_WIDTH), indexing="ij")
-    levels = torch.stack([(u // 7 + v // 5) % 2 * 200, u * 3, v * 4], dim=-1)
-    rgb = levels.byte() if whole_numbers else (levels + 0.4) / 255
-    camera = Camera(width=_WIDTH, height=_HEIGHT, fx=50.0, fy=50.0, cx=_WIDTH / 2, cy=_HEIGHT / 2)
-    depth_m = 1.5 + 0.004 * u.float()
-    frame = Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
-    return frame.to(device)
-
-
-def _is_compiled(operation: str, device: str) -> bool:
-    """Whether ``auto`` takes compiled kernels for it. Operations are declared where their references are imported."""
-    return backends.automatic(operation, device) != "reference"
 
 
 @contextlib.contextmanager

@@ -1,7 +1,8 @@
 """``gsfusion-nb map``: map a sequence, or continue a run that was interrupted."""
 
+import dataclasses
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -10,6 +11,10 @@ from ..seeding.rule_code import is_rule_file
 from ..work import MAP_MEMORY
 from .result import print_result
 from .settings import SettingsOptions, parse, reader_options
+
+if TYPE_CHECKING:
+    from ..config import SystemConfig
+    from ..data import OpenedSequence, SequenceView
 
 _WITH_RESUME = (
     "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
@@ -61,7 +66,7 @@ def run(arguments: list[str]) -> int:
     """
     options = parse(MapOptions, "gsfusion-nb map", arguments, data="data")
     from ..data import open_sequence
-    from ..runs import CheckpointEvery, estimate_memory, resume_mapping, run_mapping
+    from ..runs import CheckpointEvery, resume_mapping, run_mapping
 
     every = CheckpointEvery(seconds=options.checkpoint_every_s, frames=options.checkpoint_every_frames)
     if options.memory_gb and options.device != "cpu":
@@ -83,7 +88,7 @@ def run(arguments: list[str]) -> int:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
         settings, reader = options.settings(), reader_options(options)
         if options.estimate_memory:
-            needed = estimate_memory(open_sequence(options.data, data=settings.data, **reader), settings)
+            needed = memory_needed_gb(open_sequence(options.data, data=settings.data, **reader), settings)
             parts = ", ".join(f"{gb:.2g} GB {what}" for what, gb in needed.items())
             print(f"about {sum(needed.values()):.2g} GB: {parts}; --memory-gb keeps the map in files")
             return 0
@@ -107,3 +112,56 @@ def _refuse_more(options: MapOptions, arguments: list[str]) -> None:
         raise ValueError(
             f"--resume continues with the run's own settings and data; leave out {options.data} {' '.join(more)}"
         )
+
+
+_COUNTED_VIEWS, _TRIAL = 200, 8
+"""Frames of which the blocks are counted, and frames that are mapped, both evenly spread."""
+_PROCESS_GB = 0.5
+"""Of a process without a map."""
+
+
+def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict[str, float]:
+    """The memory that the map of a recording will need, GB, by what takes it.
+
+    The voxel blocks that some frames see are counted, without their voxels. A few frames are mapped, and the whole map
+    is taken to have as many Gaussians a block as that map. Every frame counts as a keyframe, so that pictures are an
+    upper bound. The mesh at the end is not counted.
+
+    Args:
+        sequence: The recording.
+        config: Settings of the run.
+
+    Raises:
+        SequenceError: the recording has no poses.
+    """
+    from ..config import TsdfConfig, replace
+    from ..files import SequenceError
+    from ..mapping import make_mapper
+    from ..runs.mapping_run import evenly, has_poses
+    from ..runs.scored_views import readable_frames
+    from ..tsdf import TsdfVolume
+    from ..tsdf.allocate import new_band_blocks
+
+    frames, n = sequence.mapping, len(sequence.mapping)
+    if not has_poses(frames):
+        raise SequenceError(f"{sequence.name} has no poses, so what its frames see together is not known beforehand")
+    mapper = make_mapper(replace(config, tracking__poses="given"))
+    has_volume, settings = hasattr(config, "tsdf"), getattr(config, "tsdf", TsdfConfig(voxel_size_m=0.04))
+    whole, part = TsdfVolume(settings), TsdfVolume(settings)
+
+    def view(limit: int) -> "SequenceView":
+        return dataclasses.replace(frames, positions=[frames.positions[i] for i in evenly(n, limit)])
+
+    for frame in readable_frames(view(_COUNTED_VIEWS)):
+        whole.index.add(new_band_blocks(whole, frame))
+    for frame in readable_frames(view(_TRIAL)):
+        part.index.add(new_band_blocks(part, frame))
+        mapper.step(frame)
+    columns, share = mapper.gaussians.columns.values(), whole.n_blocks / max(1, part.n_blocks)
+    pixels = sequence.camera.width * sequence.camera.height
+    return {
+        "voxel blocks": whole.memory_bytes / 1e9 if has_volume else 0.0,
+        "Gaussians": share * sum(column.nbytes for column in columns) / 1e9,
+        "pictures, at most": n * pixels * (3 + 4) / 1e9,
+        "process": _PROCESS_GB,
+    }

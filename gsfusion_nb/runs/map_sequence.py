@@ -1,16 +1,16 @@
 """Map a whole sequence, or frames as they arrive, with one call, from a notebook or the command line."""
 
 import contextlib
-import dataclasses
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 
-from ..config import SystemConfig, TsdfConfig, replace
-from ..data import OpenedSequence, Sequence, SequenceError, SequenceView, apply_options, open_sequence
+from ..config import SystemConfig
+from ..data import Sequence, SequenceError, apply_options, open_sequence
 from ..data.adjust.depth_agreement import agreeing_share
 from ..data.stream import Policy
 from ..evaluation import ONLINE
@@ -19,15 +19,12 @@ from ..files import DiskFullError
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..optim import UpdateFunction
 from ..seeding import SeedingRule, rule_name
-from ..tsdf import TsdfVolume
-from ..tsdf.allocate import new_band_blocks
 from ..types import Frame, Mesh
 from ..work import ProgressDisplay, memory_is_full
 from . import outputs
-from .mapping_run import MappingRun, RunWatcher, evenly, has_poses
+from .mapping_run import MappingRun, RunWatcher, has_poses
 from .resume import load_run
 from .run_folder import CHECKPOINTS, NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
-from .scored_views import readable_frames
 from .stream_run import StreamRun
 
 log = logging.getLogger(__name__)
@@ -73,11 +70,12 @@ def run_mapping(
         The run with its folder and numbers. After Ctrl-C everything mapped so far is in the folder, and
         ``resume_mapping(folder)`` continues the run.
     """
-    settings = _settings(config, system, is_room=str(data) == "room")
+    is_room = str(data) == "room"
+    preset = "room" if is_room else "replica"
+    settings = config if isinstance(config, SystemConfig) else get_system(system).preset(config or preset)
     if isinstance(data, (str, Path)):
-        is_folder = Path(data).expanduser().is_dir()
-        place = str(Path(data).expanduser().resolve()) if is_folder and str(data) != "room" else str(data)
-        source = {"path_or_name": place, **reader_options}
+        is_folder = Path(data).expanduser().is_dir() and not is_room
+        source = {"path_or_name": str(Path(data).expanduser().resolve() if is_folder else data), **reader_options}
         sequence = open_sequence(**source, data=settings.data)
     else:
         source, sequence = {}, apply_options(data, settings.data)
@@ -85,11 +83,10 @@ def run_mapping(
     if from_gaussians is not None:
         mapper.begin_with(read_gaussian_ply(from_gaussians), Path(from_gaussians).name)
     run = MappingRun(sequence, mapper, source=source)
-    run.watchers += [watch] if watch is not None else []
     with RunFolder(new_folder(sequence.name, folder)) as place:
-        if source and str(data) != "room" and has_poses(sequence):
+        if source and not is_room and has_poses(sequence):
             run.warnings += _doubts(sequence.mapping)
-        return drive(run, place.path, evaluate, every=checkpoints)
+        return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
 
 
 def resume_mapping(
@@ -119,15 +116,7 @@ def resume_mapping(
     with RunFolder(folder) as place:
         run = load_run(folder, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
         run.warnings = [w for w in run.warnings if not w.startswith(_TRANSIENT)]
-        run.watchers += [watch] if watch is not None else []
-        return drive(run, place.path, evaluate, every=checkpoints)
-
-
-def _settings(config: SystemConfig | str | None, system: str, *, is_room: bool) -> SystemConfig:
-    """The given settings, or the preset of that name."""
-    if config is None or isinstance(config, str):
-        return get_system(system).preset(config or ("room" if is_room else "replica"))
-    return config
+        return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
 
 
 def _doubts(sequence: Sequence) -> list[str]:
@@ -140,13 +129,13 @@ def _doubts(sequence: Sequence) -> list[str]:
     return [] if share > 1 / 3 else [said]
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class FinishedRun:
     """The folder of a run's files, its metrics, and the run itself with its maps (``run.mapper``)."""
 
-    def __init__(self, run: MappingRun, folder: Path, metrics: dict[str, Any]):
-        self.run = run
-        self.folder = folder
-        self.metrics = metrics
+    run: MappingRun
+    folder: Path
+    metrics: dict[str, Any]
 
     @property
     def mapper(self):
@@ -163,6 +152,7 @@ def drive(
     evaluate: bool,
     map_frames: "Callable[[MappingRun, StopRequest], None] | None" = None,
     *,
+    watch: RunWatcher | None = None,
     every: CheckpointEvery | None = None,
 ) -> FinishedRun:
     """Do a run from the first frame to the report. If anything ends it early, what was mapped is saved first.
@@ -172,8 +162,10 @@ def drive(
         folder: Its folder, locked.
         evaluate: Score views and write the report.
         map_frames: Does the online part until the frames end or a stop is requested; by default with a progress bar.
+        watch: Sees every mapped frame and the finished maps.
         every: How often to save a checkpoint.
     """
+    run.watchers += [watch] if watch is not None else []
     stop = StopRequest()
     outputs.write_rule(run, folder)
     run.after_step = Autosave(run.mapper, lambda: _checkpoint(run, folder, stop), every or CheckpointEvery())
@@ -204,9 +196,15 @@ def drive(
 def _work(
     run: MappingRun, stop: StopRequest, evaluate: bool, map_frames: Callable[[MappingRun, StopRequest], None]
 ) -> None:
-    """Map and optimise until finished or asked to stop; sets the run's status."""
-    with _frames_may_be_undone(run, stop):
+    """Map and optimise until finished or asked to stop; sets the run's status.
+
+    A request to stop takes effect between two gradient steps of a frame, except of the first.
+    """
+    run.mapper.guard.stop_wanted = lambda: bool(stop) and len(run.steps) > 0
+    try:
         map_frames(run, stop)
+    finally:
+        run.mapper.guard.stop_wanted = lambda: False
     if evaluate and not (stop or run.mapper.passes.begun or run.is_optimised) and run.mapper.n_passes:
         with stop.ending_at_once():
             online = outputs.score(run, "_online")
@@ -224,17 +222,6 @@ def _work(
         run.status = "complete"
     if run.steps and not len(run.mapper.gaussians):
         run.warnings.append(_why_empty(run))
-
-
-@contextlib.contextmanager
-def _frames_may_be_undone(run: MappingRun, stop: StopRequest) -> Iterator[None]:
-    """A block in which a request to stop takes effect between two gradient steps of a frame, except of the first."""
-    guard = run.mapper.guard
-    guard.stop_wanted = lambda: bool(stop) and len(run.steps) > 0
-    try:
-        yield
-    finally:
-        guard.stop_wanted = lambda: False
 
 
 def _score(run: MappingRun, folder: Path, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]) -> None:
@@ -331,51 +318,6 @@ def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
                 return
 
 
-_COUNTED_VIEWS, _TRIAL = 200, 8
-"""Frames of which the blocks are counted, and frames that are mapped, both evenly spread."""
-_PROCESS_GB = 0.5
-"""Of a process without a map."""
-
-
-def estimate_memory(sequence: OpenedSequence, config: SystemConfig) -> dict[str, float]:
-    """The memory that the map of a recording will need, GB, by what takes it.
-
-    The voxel blocks that some frames see are counted, without their voxels. A few frames are mapped, and the whole map
-    is taken to have as many Gaussians a block as that map. Every frame counts as a keyframe, so that pictures are an
-    upper bound. The mesh at the end is not counted.
-
-    Args:
-        sequence: The recording.
-        config: Settings of the run.
-
-    Raises:
-        SequenceError: the recording has no poses.
-    """
-    frames, n = sequence.mapping, len(sequence.mapping)
-    if not has_poses(frames):
-        raise SequenceError(f"{sequence.name} has no poses, so what its frames see together is not known beforehand")
-    mapper = make_mapper(replace(config, tracking__poses="given"))
-    has_volume, settings = hasattr(config, "tsdf"), getattr(config, "tsdf", TsdfConfig(voxel_size_m=0.04))
-    whole, part = TsdfVolume(settings), TsdfVolume(settings)
-
-    def view(limit: int) -> SequenceView:
-        return dataclasses.replace(frames, positions=[frames.positions[i] for i in evenly(n, limit)])
-
-    for frame in readable_frames(view(_COUNTED_VIEWS)):
-        whole.index.add(new_band_blocks(whole, frame))
-    for frame in readable_frames(view(_TRIAL)):
-        part.index.add(new_band_blocks(part, frame))
-        mapper.step(frame)
-    columns, share = mapper.gaussians.columns.values(), whole.n_blocks / max(1, part.n_blocks)
-    pixels = sequence.camera.width * sequence.camera.height
-    return {
-        "voxel blocks": whole.memory_bytes / 1e9 if has_volume else 0.0,
-        "Gaussians": share * sum(column.nbytes for column in columns) / 1e9,
-        "pictures, at most": n * pixels * (3 + 4) / 1e9,
-        "process": _PROCESS_GB,
-    }
-
-
 def map_stream(
     frames: Iterable[Frame] | Sequence,
     mapper: Mapper,
@@ -424,8 +366,7 @@ def map_stream(
 
     with RunFolder(new_folder(getattr(frames, "name", "stream"), folder)) as place:
         run = StreamRun(frames, mapper, policy=policy)
-        run.watchers += [watch] if watch is not None else []
-        return drive(run, place.path, evaluate, map_frames, every=checkpoints)
+        return drive(run, place.path, evaluate, map_frames, watch=watch, every=checkpoints)
 
 
 def _why_empty(run: MappingRun) -> str:

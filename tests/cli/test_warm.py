@@ -44,35 +44,24 @@ def watching():
         yield names
 
 
-def test_the_cases_run_every_compiled_operation_and_the_mapper_needs_nothing_else(dispatched):
+def test_progress_names_every_map_and_ends_at_the_total(monkeypatch, capsys):
     pytest.importorskip("numba")
-    covered, mappers = set(), []
-    for case in doctor.warm_up_cases():
-        if case.name.startswith("whole mapper"):
-            mappers.append(case)
-            continue
-        dispatched.clear()
-        case.run()
-        assert set(case.operations) <= set(dispatched), case.name
-        covered |= set(case.operations)
-    assert covered >= {name for name in backends.operations() if doctor._is_compiled(name, "cpu")}
-    assert len(mappers) == 3
-    with watching() as compiled:
-        for mapper in mappers:
-            mapper.run()
-    assert compiled == []
-
-
-def test_progress_names_every_step_and_ends_at_the_total(monkeypatch, capsys):
-    few = doctor.compiled_cases()[::12]
-    monkeypatch.setattr(doctor, "warm_up_cases", lambda *device: iter(few))
-    shown, threads = [], torch.get_num_threads()
+    mapped, shown, threads = [], [], torch.get_num_threads()
+    monkeypatch.setattr(doctor, "_map", mapped.append)
     monkeypatch.setattr(doctor.ProgressDisplay, "show", lambda self, done, **more: shown.append((done, more)))
     assert doctor.warm() == 0
-    assert [done for done, _ in shown] == list(range(len(few) + 1))
-    assert [more.get("note", "") for _, more in shown] == [*(case.name for case in few), ""]
+    assert [done for done, _ in shown] == list(range(len(mapped) + 1))
+    assert [more.get("note", "") for _, more in shown] == [*(type(config).__name__ for config in mapped), ""]
     assert torch.get_num_threads() == threads
     assert "All fast kernels are compiled" in capsys.readouterr().out
+
+
+@pytest.mark.ci
+def test_the_maps_use_every_compiled_operation(dispatched):
+    pytest.importorskip("numba")
+    assert doctor.warm() == 0
+    compiled = {name for name in backends.operations() if backends.automatic(name, "cpu") != "reference"}
+    assert compiled - set(dispatched) == {"band_blocks"}, "which has the kernels of new_band_blocks"
 
 
 @pytest.mark.ci

@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
+from kernel_cases import make_frame, make_params
 from torch import Tensor
 
 from gsfusion_nb.backends import Record, chosen, offered, use_backend
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.kernels.runtime.cases import make_frame, make_params
 from gsfusion_nb.optim import ColumnRates, adam_update, adam_update_map, dssim_vjp, l1_mse_vjp, l2_mse_vjp, rgbd_l1_vjp
 from gsfusion_nb.render import (
     Base,

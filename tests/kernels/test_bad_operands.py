@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from kernel_cases import make_frame, make_params
+from kernel_cases.rasterize import break_rows
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.kernels.rasterize.cases import break_rows
-from gsfusion_nb.kernels.runtime.cases import make_frame, make_params
 from gsfusion_nb.optim.adam import adam_step
 from gsfusion_nb.render import render_forward, render_vjp
 from gsfusion_nb.types import GaussianParams, Seeds
@@ -25,7 +25,7 @@ def outcomes(*backends: str, **environment: str) -> dict[str, dict[str, str | li
     """What ``bad_operands.py`` printed; the process must have lived to the end."""
     done = subprocess.run(
         [sys.executable, "-P", "-W", "ignore", str(SCRIPT), *backends],
-        env={**os.environ, **environment},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), **environment},
         capture_output=True,
         text=True,
         timeout=600,

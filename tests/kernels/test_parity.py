@@ -1,20 +1,18 @@
-"""Every backend against the reference, on every case that the folders of the operations bring along.
+"""Every backend against the reference, on every case of ``tests/plugins/kernel_cases``.
 
 A new operation, or a new backend of one, is tested here as soon as its file exists.
 """
 
 import functools
-import importlib
 import os
 import sys
-from pathlib import Path
 
 import pytest
 import torch
+from kernel_cases import Case, all_cases
 
 from gsfusion_nb import backends
 from gsfusion_nb.backends import BackendUnavailable, use_backend
-from gsfusion_nb.cli import doctor as warm
 
 EMULATES = [b for b, variable in backends._EMULATED_BY.items() if os.environ.get(variable)]
 """Backends for GPUs that this session of pytest runs on the processor; it is started for them alone."""
@@ -58,7 +56,7 @@ def check(case, backend: str, dtype: torch.dtype, compare_on) -> None:
         compare_on(backend, "+".join(case.operations), name, value, expected[name], tolerance, case.flips)
 
 
-@pytest.mark.parametrize(("case", "backend", "dtype"), runs(backends.cases()))
+@pytest.mark.parametrize(("case", "backend", "dtype"), runs(all_cases()))
 def test_same_as_the_reference(case, backend, dtype, compare_on):
     try:
         check(case, backend, dtype, compare_on)
@@ -68,7 +66,7 @@ def test_same_as_the_reference(case, backend, dtype, compare_on):
         pytest.skip(str(e))
 
 
-ONE_OF_EACH = {case.operations: case for case in backends.cases() if "numba" in backends.offered(case.operations[0])}
+ONE_OF_EACH = {case.operations: case for case in all_cases() if "numba" in backends.offered(case.operations[0])}
 """The last case of every set of operations."""
 
 
@@ -84,21 +82,8 @@ def test_threads_do_not_change_a_bit(case):
         assert torch.equal(value, results[1][name]), name
 
 
-def folders_without_cases() -> list[str]:
-    """Folders with a faster version of an operation, and without a ``cases.py``."""
-    (root,) = importlib.import_module(backends._KERNELS).__path__
-    folders = {backends._FOLDERS[name].split(".")[-1] for name in backends.operations()}
-    return sorted(
-        f"kernels/{folder} has no cases.py" for folder in folders if not Path(root, folder, "cases.py").exists()
-    )
-
-
-def test_every_folder_has_cases():
-    assert not folders_without_cases()
-
-
 def test_every_offered_operation_has_a_case():
-    covered = {operation for case in backends.cases() for operation in case.operations}
+    covered = {operation for case in all_cases() for operation in case.operations}
     assert not set(backends.operations()) - covered
 
 
@@ -127,26 +112,15 @@ def made_kernels(tmp_path, monkeypatch):
     backends.look_again()
 
 
-CASES_OF_HALVE = """
-import torch
-from gsfusion_nb.kernels.runtime.cases import Case
-
-def cases():
-    yield Case(name="counting", operations=("halve",), run=run)
-
-def run(device, dtype):
+def run_halve(device: torch.device, dtype: torch.dtype) -> dict[str, torch.Tensor]:
     return {"half": torch.halve_of_the_test(torch.arange(5, device=device, dtype=dtype))}
-"""
 
 
-def test_a_new_operation_or_backend_is_one_file(made_kernels, compare_on):
-    """Written into a folder: parity and warm-up find it."""
+def test_a_new_backend_is_one_file(made_kernels, compare_on):
+    """Written into a folder: parity finds it."""
     (made_kernels / "numba.py").write_text("def halve(x):\n    return 0.5 * x\n")
     backends.look_again()
-    assert "kernels/halve has no cases.py" in folders_without_cases()
-    (made_kernels / "cases.py").write_text(CASES_OF_HALVE)
-    assert "kernels/halve has no cases.py" not in folders_without_cases()
-    found = [param.values for param in runs(backends.cases())]
+    found = [param.values for param in runs([Case(name="counting", operations=("halve",), run=run_halve)])]
     assert [(case.name, backend) for case, backend, _ in found] == [("counting", "numba")] * 2
     for case, backend, dtype in found:
         check(case, backend, dtype, compare_on)
@@ -155,4 +129,3 @@ def test_a_new_operation_or_backend_is_one_file(made_kernels, compare_on):
     backends.look_again()
     with pytest.raises(AssertionError, match="halve half: 4 of 5 differ"):
         check(found[0][0], "numba", torch.float32, compare_on)
-    assert any(case.operations == ("halve",) for case in warm.compiled_cases())

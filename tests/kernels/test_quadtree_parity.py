@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 import torch
+from kernel_cases.quadtree import noise_and_ramp
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.kernels.quadtree.cases import noise_and_ramp
 from gsfusion_nb.seeding import quadtree
 
 pytest.importorskip("numba")

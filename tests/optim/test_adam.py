@@ -5,12 +5,12 @@ from unittest.mock import Mock
 
 import pytest
 import torch
+from kernel_cases import make_params
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.gaussians import Edit, GaussianModel
 from gsfusion_nb.gaussians.model import PARAMETERS
-from gsfusion_nb.kernels.runtime.cases import make_params
 from gsfusion_nb.optim import (
     ColumnRates,
     PartOfMap,

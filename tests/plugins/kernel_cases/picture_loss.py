@@ -11,7 +11,7 @@ from torch import Tensor
 
 from gsfusion_nb.optim import l1_mse_vjp, l2_mse_vjp
 
-from ..runtime.cases import Case
+from . import Case
 
 
 def cases() -> Iterator[Case]:

@@ -12,7 +12,7 @@ from torch import Tensor
 from gsfusion_nb.render import render_forward, render_vjp
 from gsfusion_nb.types import GaussianParams
 
-from ..runtime.cases import HEIGHT, WIDTH, Case, make_frame, make_params
+from . import HEIGHT, WIDTH, Case, make_frame, make_params
 
 OPAQUE = 0.3
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from gsfusion_nb.render import disc_depth, disc_depth_vjp
 from gsfusion_nb.types import GaussianParams
 
-from ..runtime.cases import HEIGHT, WIDTH, Case, make_frame, make_params
+from . import HEIGHT, WIDTH, Case, make_frame, make_params
 
 
 def cases() -> Iterator[Case]:

@@ -15,7 +15,7 @@ from gsfusion_nb.geometry import project
 from gsfusion_nb.tracking import Features
 from gsfusion_nb.tracking.matching import found_near, match_features
 
-from ..runtime.cases import Case, make_frame
+from . import Case, make_frame
 
 
 def cases() -> Iterator[Case]:

@@ -19,7 +19,7 @@ from gsfusion_nb.tsdf import TsdfVolume, band_blocks, new_band_blocks
 from gsfusion_nb.tsdf.octree import encode
 from gsfusion_nb.types import Frame
 
-from ..runtime.cases import Case, make_frame
+from . import Case, make_frame
 
 _REACH = 24
 """Blocks on each side of the camera's own that the result shows."""

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from gsfusion_nb.optim import dssim_vjp
 
-from ..runtime.cases import Case
+from . import Case
 
 
 def cases() -> Iterator[Case]:

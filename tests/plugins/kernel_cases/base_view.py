@@ -12,7 +12,7 @@ from torch import Tensor
 
 from gsfusion_nb.render import base_view
 
-from ..runtime.cases import Case
+from . import Case
 
 
 def cases() -> Iterator[Case]:

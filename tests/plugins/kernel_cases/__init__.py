@@ -1,10 +1,11 @@
-"""Small pieces of work that call an operation: the parity tests compare their results between backends, and
-``gsfusion-nb doctor --warm`` runs them to compile the kernels.
+"""Small pieces of work that call an operation: the parity tests compare their results between backends.
 
-Each folder has a ``cases.py`` with a function ``cases()``; ``gsfusion_nb.backends.cases`` collects them all.
+Each folder of ``kernels`` has a file of its name here, with a function ``cases()``.
 """
 
-from collections.abc import Callable
+import importlib
+import pkgutil
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -35,6 +36,12 @@ class Case:
     """Largest difference between backends in float32, as a share of the largest value of the same tensor."""
     flips: float = 0.0
     """Share of the elements that may differ by more: those that lie within rounding of a threshold."""
+
+
+def all_cases() -> Iterator[Case]:
+    """The cases of every file here."""
+    for file in pkgutil.iter_modules(__path__):
+        yield from importlib.import_module(f"{__name__}.{file.name}").cases()
 
 
 def make_frame(device: torch.device | str = "cpu", *, whole_numbers: bool = True, shift_m: float = 0.0) -> Frame:

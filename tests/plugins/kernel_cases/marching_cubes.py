@@ -12,8 +12,8 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume, extract_mesh
 
-from ..integrate.cases import make_map, wall
-from ..runtime.cases import Case
+from . import Case
+from .integrate import make_map, wall
 
 
 def cases() -> Iterator[Case]:

@@ -12,7 +12,7 @@ from torch import Tensor
 from gsfusion_nb.optim import ColumnRates, adam_update, adam_update_map
 from gsfusion_nb.types import GaussianParams
 
-from ..runtime.cases import Case, make_params
+from . import Case, make_params
 
 _SHAPES = ((0, 3), (1,), (7, 3), (2100, 16, 3))
 _MAPS = ((0, 0), (1, 1), (50, 2), (2099, 3))

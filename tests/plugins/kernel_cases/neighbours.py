@@ -8,7 +8,7 @@ from torch import Tensor
 
 from gsfusion_nb.seeding.points import k_nearest
 
-from ..runtime.cases import Case
+from . import Case
 
 
 def cases() -> Iterator[Case]:

@@ -14,7 +14,7 @@ from torch import Tensor
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.landmark_pose import LandmarkRows, landmark_pose, landmark_sums
 
-from ..runtime.cases import Case, make_sighted_points
+from . import Case, make_sighted_points
 
 _ROUNDING = 1e-9
 

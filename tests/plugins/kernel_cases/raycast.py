@@ -13,8 +13,8 @@ from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tsdf import TsdfVolume, raycast
 
-from ..integrate.cases import make_map, wall
-from ..runtime.cases import Case
+from . import Case
+from .integrate import make_map, wall
 
 _POSES = {
     "from where it was seen": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),

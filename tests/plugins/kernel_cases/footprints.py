@@ -11,8 +11,8 @@ from torch import Tensor
 
 from gsfusion_nb.render import footprints
 
-from ..rasterize.cases import break_rows
-from ..runtime.cases import Case, make_frame, make_params
+from . import Case, make_frame, make_params
+from .rasterize import break_rows
 
 
 def cases() -> Iterator[Case]:

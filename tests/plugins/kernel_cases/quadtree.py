@@ -13,7 +13,7 @@ from torch import Tensor
 
 from gsfusion_nb.seeding import quadtree
 
-from ..runtime.cases import Case
+from . import Case
 
 _SIZES = ((1, 1), (1, 500), (500, 3), (4, 4), (5, 7), (64, 48), (97, 61), (160, 120))
 

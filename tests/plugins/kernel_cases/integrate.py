@@ -15,7 +15,7 @@ from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.tsdf.integrate import fuse_frame_
 from gsfusion_nb.types import Frame
 
-from ..runtime.cases import Case, make_frame
+from . import Case, make_frame
 
 _POSE = se3.exp(torch.tensor([0.013, -0.021, 0.017, 0.02, -0.03, 0.05]))
 """A camera along the axes of the world would see rows of voxels exactly on the borders of its pixels."""

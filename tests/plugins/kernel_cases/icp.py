@@ -13,7 +13,7 @@ from gsfusion_nb.geometry import depth_to_normals, se3
 from gsfusion_nb.tracking import DepthLevel, Surface, icp_system
 from gsfusion_nb.types import Camera
 
-from ..runtime.cases import HEIGHT, WIDTH, Case, make_frame
+from . import HEIGHT, WIDTH, Case, make_frame
 
 
 def cases() -> Iterator[Case]:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from gsfusion_nb.optim import rgbd_l1_vjp
 
-from ..runtime.cases import Case
+from . import Case
 
 
 def cases() -> Iterator[Case]:

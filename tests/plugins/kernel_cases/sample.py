@@ -14,8 +14,8 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import FusedView, TsdfSample, TsdfVolume, band_blocks, sample_voxels
 
-from ..integrate.cases import make_map, wall
-from ..runtime.cases import Case
+from . import Case
+from .integrate import make_map, wall
 
 _FLIPS = 3e-3
 """Points in voxels that project within rounding of a pixel's border."""
