@@ -50,8 +50,9 @@ def tum(
 
     Depth scale: 5000 per metre. Poses: camera-to-world, OpenCV axes. Pixel centres: integers in the benchmark's
     calibration, so 0.5 is added to ``cx`` and ``cy``. Each depth image goes with the colour image nearest in time, at
-    most 0.02 s away, each used once; the pose is interpolated at the depth image's time between ground-truth poses at
-    most 0.2 s apart. Depth images without one of them are dropped, and the number is logged.
+    most 0.02 s away, each used once; the pose is interpolated at the colour image's time between ground-truth poses at
+    most 0.2 s apart, and ``open_sequence`` moves the depth from its own time to it. Depth images without one of them
+    are dropped, and the number is logged.
 
     Undistortion: fr1 and fr2 images are distorted, and colour and depth correspond pixel by pixel, because the driver
     registers depth to the distorted colour image; so both are undistorted, or neither. Without undistortion a pixel is
@@ -75,7 +76,7 @@ def tum(
     rgb_s, rgb_files = _stream(root / "rgb.txt")
     depth_s, depth_files = _stream(root / "depth.txt")
     pairs = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
-    timed = [(depth_s[d], d, c) for d, c in pairs]
+    timed = [(rgb_s[c], d, c) for d, c in pairs]
     if poses:
         posed = _with_poses(root / "groundtruth.txt", timed)
         T_WC = matrices(torch.stack([row for *_, row in posed])) if posed else no_poses(0)
@@ -95,6 +96,7 @@ def tum(
         rgb_files=[rgb_files[c] for _, _, c, _ in posed],
         depth_files=[depth_files[d] for _, d, _, _ in posed],
         timestamps_s=[t for t, *_ in posed],
+        depth_times_s=[depth_s[d] for _, d, _, _ in posed],
         poses=T_WC,
         has_poses=poses,
         pose_sources=[f"{root / 'groundtruth.txt'} at {t:.6f} s" for t, *_ in posed],
