@@ -92,7 +92,8 @@ class RepairedSequence:
         """Camera-to-world pose of frame ``i``. Raises ``BadFrameError`` if a shift in time leaves the frame without a
         pose."""
         if self.repair.pose_offset_s:
-            return self._pose_at_its_time(position(i, len(self)))
+            self._reread(i)  # a frame without a pose gets none
+            return self._pose_after(position(i, len(self)), 0.0).float()
         at = position(i, len(self)) + self.repair.pose_shift_frames
         first = math.floor(at)
         if not 0 <= at <= len(self) - 1:
@@ -118,11 +119,8 @@ class RepairedSequence:
             depth_m = depth_m / rays(self.camera, pixel_grid(self.camera)).norm(dim=-1)
         if not lag_s:
             return depth_m
-        taken_s = np.interp(i + self.repair.pose_shift_frames, np.arange(len(self)), self.times_s)
-        T_WD = self._path.at(torch.tensor([taken_s + self.repair.pose_offset_s + lag_s]))[0]
-        if not bool(torch.isfinite(T_WD).all()):
-            raise BadFrameError(f"{self.name} frame {i} has no pose at the time of its depth image")
-        return warp_depth(depth_m, self.camera, self.camera, se3.inverse(T_WC.double()) @ T_WD)
+        T_CD = se3.inverse(T_WC.double()) @ self._pose_after(i, lag_s)
+        return warp_depth(depth_m, self.camera, self.camera, T_CD)
 
     @functools.cached_property
     def _depth_images(self) -> list[tuple[int, float]]:
@@ -135,16 +133,17 @@ class RepairedSequence:
         nearest = dict(associate(rgb_s, depth_s, max_difference_s=self._path.step_s))
         return [(j, depth_s[j] - rgb_s[i]) for i, j in ((i, nearest.get(i, i)) for i in range(len(self)))]
 
-    def _pose_at_its_time(self, i: int) -> Float[Tensor, "4 4"]:
-        """The pose that the camera had when picture ``i`` was taken."""
-        self._reread(i)  # a frame without a pose gets none
-        T = self._path.at(self.times_s[i : i + 1] + self.repair.pose_offset_s)[0]
+    def _pose_after(self, i: int, seconds: float) -> Float[Tensor, "4 4"]:
+        """The pose that the camera had so long after picture ``i`` was taken, float64."""
+        later_s = self.repair.pose_offset_s + seconds
+        taken_s = np.interp(i + self.repair.pose_shift_frames, np.arange(len(self)), self.times_s)
+        T = self._path.at(torch.tensor([taken_s + later_s]))[0]
         if not bool(torch.isfinite(T).all()):
             raise BadFrameError(
-                f"{self.name} frame {i} has no pose: repair.pose_offset_s {self.repair.pose_offset_s:g} s leads "
-                "farther than one frame from every other pose; expected a smaller offset"
+                f"{self.name} frame {i} has no pose: {later_s:+g} s lead farther than one frame from every other pose; "
+                "expected a smaller repair.pose_offset_s or depth_offset_s"
             )
-        return T.float()
+        return T
 
     @property
     def times_s(self) -> Float[Tensor, " L"]:

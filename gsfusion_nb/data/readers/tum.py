@@ -42,6 +42,9 @@ LENSES = {
 }
 """Calibration of the three Kinects, from the benchmark's page; the third is already undistorted."""
 
+CALIBRATIONS = ("calibration.txt", "camera.txt", "calib.txt", "intrinsics.txt", "intrinsics.json", "camera.json")
+"""Files with which a recording of another camera gives its own; the benchmark has none."""
+
 
 def tum(
     path: str | Path, *, camera: str | Camera = "auto", undistort: bool = True, poses: bool = True
@@ -61,7 +64,8 @@ def tum(
 
     Args:
         path: Folder of the sequence.
-        camera: "freiburg1", "freiburg2" or "freiburg3"; "auto" finds it in the folder's name; or your own pinhole.
+        camera: "freiburg1", "freiburg2" or "freiburg3"; "auto" finds it in the name of a folder without a calibration
+            of its own; or your own pinhole.
         poses: False for a recording without ``groundtruth.txt``; the camera must then be tracked.
         undistort: Remove the lens distortion of fr1 and fr2 from colour and depth. The field of view shrinks by 5 %.
 
@@ -113,8 +117,9 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
         name = benchmark_camera(root)
         if not name:
             raise SequenceError(
-                f"{root}: the folder's name holds none of {', '.join(LENSES)}; if it is the benchmark's, give one with "
-                f"--reader camera=freiburg1; a recording of another camera: gsfusion-nb convert {root} OUT"
+                f"{root}: the folder's name holds none of {', '.join(LENSES)}, or it has a calibration file; if it "
+                "is the benchmark's, give one with --reader camera=freiburg1; a recording of another camera: "
+                f"gsfusion-nb convert {root} OUT"
             )
     if name not in LENSES:
         raise SequenceError(f"{root}: no TUM camera {shown(name)}; known: {', '.join(LENSES)}")
@@ -122,7 +127,10 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
 
 
 def benchmark_camera(folder: Path) -> str:
-    """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name counts. Empty if none."""
+    """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name counts. Empty if none, or
+    if the folder holds a calibration of its own."""
+    if any((folder / name).is_file() for name in CALIBRATIONS):
+        return ""
     names = (given_name(folder), folder.resolve().name)
     return next((n for f in names for n in LENSES if n in f or n.replace("freiburg", "fr") in f), "")
 

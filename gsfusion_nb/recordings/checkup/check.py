@@ -58,10 +58,9 @@ def check_recording(
     if isinstance(base, RecordedSequence):
         raw, findings = examine_files(base, given.repair)
     given = combined(given, DataConfig(repair=raw))
-    all_frames, mapped = replace(given, hold_out_every=0), set(apply_options(base, given).mapping.positions)
-    sequence = apply_options(base, all_frames)
+    trials, sequence = Trials(base, given), apply_options(base, replace(given, hold_out_every=0))
     sample = read_sample(sequence, frames=frames)
-    pairs, posed = pairs_of(_mapped(sample, mapped)), getattr(base, "has_poses", True)
+    pairs, posed = pairs_of(trials.mapped(sample)), getattr(base, "has_poses", True)
     known = {name: value for name, value in reader_options.items() if name != "format"}
     report = CheckupReport(
         name=sample.name,
@@ -74,12 +73,13 @@ def check_recording(
     if not pairs:
         return report
 
-    numbers = {f.place: f.number for f in sample.frames}
-    trials = Trials(base, given, [(numbers[a], numbers[b]) for a, b in pairs])
-    found, more, reader, graphs = _examine(sample, pairs, base, hint, posed, mapped, trials)
+    trials.pairs = [(sequence.positions[a], sequence.positions[b]) for a, b in pairs]
+    found, more, reader, graphs = _examine(sample, pairs, hint, posed, trials)
     together = ""
     if posed:
-        found, more, together = trials.judged(found, more)
+        registered = _opened(sequence_or_path, {**reader_options, **reader})[0] if reader else None
+        found, more, together = trials.judged(found, more, registered)
+        reader = reader if any(f.repair == reader_flags(reader) for f in found) else {}
     mended = combined(given, more)
     again = apply_options(base, replace(mended, hold_out_every=0)) if more != DataConfig() and posed else None
     return replace(
@@ -94,19 +94,8 @@ def check_recording(
     )
 
 
-def _mapped(sample: Sample, mapped: abc.Set[int]) -> Sample:
-    """The sample with only those of its frames that are mapped: repairs are estimated from these."""
-    return replace(sample, frames=[f for f in sample.frames if f.number in mapped])
-
-
 def _examine(
-    sample: Sample,
-    pairs: abc.Sequence[tuple[int, int]],
-    base: Sequence,
-    hint: dict[str, Any],
-    posed: bool,
-    mapped: abc.Set[int],
-    trials: Trials,
+    sample: Sample, pairs: abc.Sequence[tuple[int, int]], hint: dict[str, Any], posed: bool, trials: Trials
 ) -> tuple[list[Finding], DataConfig, dict[str, Any], list[PageGraph]]:
     """All findings that come from the frames read; without poses (``posed`` False) those on the images alone.
 
@@ -114,24 +103,24 @@ def _examine(
         The findings, the repairs that are added to those the recording was read with, the options of the reader that
         repair it, and the graphs.
     """
-    codes, code_finding = clear_codes(sample.frames, getattr(base, "depth_scale", None))
+    codes, code_finding = clear_codes(sample.frames, getattr(trials.base, "depth_scale", None))
     if posed:
-        e = explain(_mapped(sample, mapped), pairs)
+        e = explain(trials.mapped(sample), pairs)
         first, (e, sample) = agreement_finding(e), trials.in_time(e, sample)
         repair, graphs = e.repair, path_from_above(sample, e.interpretation)
-        rectify = getattr(base, "rectify", None)
+        rectify = getattr(trials.base, "rectify", None)
         about = fit_findings(e, sample.camera, rectify.lens.camera if isinstance(rectify, Undistorter) else None)
         over = measure_over_frames(sample, e.interpretation, e.correction)
         piece, jumps = jump_finding(over, 1 + max(int(over.number.max()), sample.length - 1))
         last = [jumps]
         graphs += graphs_of(over)
     else:
-        (repair, unit), graphs, piece, last = unit_finding(sample, base), [], DataConfig(), []
+        (repair, unit), graphs, piece, last = unit_finding(sample, trials.base), [], DataConfig(), []
         about = [unit]
         text = "The recording has no poses: whatever needs them is not judged."
         first = Finding("poses", "unknown", text, repair="--tracking.poses tracked --reader poses=false")
         over = measure_over_frames(sample, RepairConfig(), CalibrationCorrection(), posed=False)
-    colour, colour_findings = registration_findings(fit_colour(_mapped(sample, mapped)), sample.camera)
+    colour, colour_findings = registration_findings(fit_colour(trials.mapped(sample)), sample.camera)
     related, reader = colour_findings[0].verdict != "wrong" or bool(colour.changes), {}
     if hint and colour_findings[0].verdict in ("doubtful", "wrong"):  # a calibration is better than a shift
         colour, reader, related = RepairConfig(), hint, True
@@ -170,7 +159,9 @@ def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, A
 def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:
     tried = len(sample.frames) + len(sample.unreadable)
     # a shift in time leaves these frames without a pose
-    ends = max(abs(given.pose_shift_frames), abs(given.rgb_shift_frames))
+    ends = max(
+        abs(given.pose_shift_frames), abs(given.rgb_shift_frames), bool(given.pose_offset_s or given.depth_offset_s)
+    )
     bad = {i: why for i, why in sample.unreadable.items() if ends <= i <= sample.length - 1 - ends}
     if not bad:
         return Finding("frames", "ok", f"All {tried} frames read are usable.")

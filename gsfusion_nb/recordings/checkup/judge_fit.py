@@ -24,13 +24,6 @@ _SCALES = {
 def agreement_finding(e: Explanation) -> Finding:
     """Finding: do frames agree after all repairs?"""
     usual_error = median_error(e.data, e.correction)
-    numbers = {
-        "agreeing_as_read": e.as_read.share,
-        "agreeing_repaired": e.repaired.share,
-        "error_as_read_m": e.as_read.median_m,
-        "error_repaired_m": e.repaired.median_m,
-        "relative_error": usual_error,
-    }
     text = (
         f"{e.repaired.share:.0%} of a frame's points agree with another frame within 3 %, the median difference is "
         f"{100 * e.repaired.median_m:.2g} cm"
@@ -39,10 +32,10 @@ def agreement_finding(e: Explanation) -> Finding:
         text += f" with the repair (as read: {e.as_read.share:.0%}, {100 * e.as_read.median_m:.2g} cm)"
     if not usual_error <= _TYPICAL_ERROR:
         repair = "check that poses and images belong together; compare the pictures on the page"
-        return Finding("agreement", "wrong", f"{text}: no interpretation explains the data.", repair, numbers)
+        return Finding("agreement", "wrong", f"{text}: no interpretation explains the data.", repair)
     if e.repaired.share < _HARDLY and usual_error > _TYPICAL_ERROR / 2:
-        return Finding("agreement", "doubtful", f"{text}: little overlap, or imprecise poses.", numbers=numbers)
-    return Finding("agreement", "ok", f"{text}.", numbers=numbers)
+        return Finding("agreement", "doubtful", f"{text}: little overlap, or imprecise poses.")
+    return Finding("agreement", "ok", f"{text}.")
 
 
 def fit_findings(e: Explanation, camera: Camera, lens: Camera | None = None) -> list[Finding]:

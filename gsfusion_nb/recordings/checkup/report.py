@@ -27,8 +27,6 @@ class Finding:
     """What was found, with the numbers that matter."""
     repair: str = ""
     """Options of ``gsfusion-nb map``, or what to do; empty if nothing needs to be done."""
-    numbers: Mapping[str, float] = field(default_factory=dict)
-    """Of the agreement: shares and depth differences; the unit is part of the name."""
 
 
 def flags_of(data: DataConfig) -> str:
