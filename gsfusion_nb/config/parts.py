@@ -48,6 +48,12 @@ class RepairConfig(Settings, group="repair"):
     pose_offset_s: float = within(0.0, -10, 10)
     """Every picture was taken this much later than its pose, seconds; it gets the pose of its time, interpolated.
     gsfusion-nb offset DATA estimates it. Usual: within 0.03."""
+    depth_offset_s: float = within(0.0, -10, 10)
+    """Every depth image was taken this much later than it is stamped beside the pictures, seconds. A frame gets the
+    depth image nearest to its picture in time, moved to the picture's pose. Usual: within 0.03."""
+    depth_pose: Literal["own", "colour"] = "own"
+    """Pose from which a depth image was taken at another time than its picture: "own", that of its time, from which it
+    is moved to the picture's; or "colour", the picture's, as if both were taken at once. Tracked poses: "colour"."""
     rgb_shift_frames: int = within(0, -1e4, 1e4)
     """Frame i gets the colour image of frame i + this."""
     fit_sizes: bool = False
@@ -336,6 +342,12 @@ class SystemConfig(Settings):
     """Where the images of the keyframes are kept: "device" (with the map) or "cpu", which saves memory of the GPU."""
     seed: int = 0
     """Seed of all random numbers. The same seed on the same machine gives the same map."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.tracking.poses == "tracked":  # the data's poses may not move the depth that the tracker aligns
+            repair = dataclasses.replace(self.data.repair, depth_pose="colour")
+            object.__setattr__(self, "data", dataclasses.replace(self.data, repair=repair))
 
     @property
     def source_stride(self) -> int:

@@ -160,7 +160,7 @@ class Undistorter:
     def __init__(
         self, lens: CameraModel, depth_camera: Camera | None = None, T_depth_colour: Float[Tensor, "4 4"] | None = None
     ):
-        self.camera, self.depth_camera = lens.pinhole(), depth_camera
+        self.lens, self.camera, self.depth_camera = lens, lens.pinhole(), depth_camera
         self._u, self._v = pixel_map(lens, self.camera)
         self._T_colour_depth = torch.eye(4) if T_depth_colour is None else se3.inverse(T_depth_colour)
 

@@ -16,10 +16,12 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from ...config import DataConfig, RepairConfig
-from ...geometry import pixel_grid, rays
+from ...geometry import pixel_grid, rays, se3
 from ...types import Camera, Frame
+from ..lens import warp_depth
 from ..recorded.images import read_depth
 from ..recorded.recorded_sequence import RecordedSequence
+from ..recorded.times import associate
 from ..sequence import BadFrameError, Sequence, SequenceError, position
 from .poses import PosePath, pose_between, raw_matrices, reread_poses, stored_poses, times_of
 from .resize import resize_frame
@@ -37,7 +39,7 @@ def repaired(source: Sequence, repair: RepairConfig) -> Sequence:
         SequenceError: a correction that needs the files of a recording, for a sequence that has none.
     """
     changes = set(repair.changes) - {"skip"}
-    if not changes:
+    if not changes and getattr(source, "depth_times_s", None) is None:
         return source
     raw = [name for name in _RAW if name in changes]
     if raw:
@@ -90,7 +92,8 @@ class RepairedSequence:
         """Camera-to-world pose of frame ``i``. Raises ``BadFrameError`` if a shift in time leaves the frame without a
         pose."""
         if self.repair.pose_offset_s:
-            return self._pose_at_its_time(position(i, len(self)))
+            self._reread(i)  # a frame without a pose gets none
+            return self._pose_after(position(i, len(self)), 0.0).float()
         at = position(i, len(self)) + self.repair.pose_shift_frames
         first = math.floor(at)
         if not 0 <= at <= len(self) - 1:
@@ -103,31 +106,51 @@ class RepairedSequence:
 
     def __getitem__(self, i: int) -> Frame:
         i = position(i, len(self))
-        frame = self.source[i]
-        depth_m = frame.depth_m * self.repair.depth_factor
-        if self.repair.depth_kind == "ray":
-            depth_m = depth_m / rays(self.camera, pixel_grid(self.camera)).norm(dim=-1)
+        frame, T_WC = self.source[i], self.pose(i)
         return dataclasses.replace(
-            frame, rgb=self._colour(frame, i), depth_m=depth_m, camera=self.camera, T_WC=self.pose(i)
+            frame, rgb=self._colour(frame, i), depth_m=self._depth(frame, i, T_WC), camera=self.camera, T_WC=T_WC
         )
 
-    def _pose_at_its_time(self, i: int) -> Float[Tensor, "4 4"]:
-        """The pose that the camera had when picture ``i`` was taken."""
-        self._reread(i)  # a frame without a pose gets none
-        T = self._path.at(self.times_s[i : i + 1] + self.repair.pose_offset_s)[0]
+    def _depth(self, frame: Frame, i: int, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "H W"]:
+        """Depth at the picture's pose ``T_WC``: the image that was taken nearest to the picture, from its own pose."""
+        j, lag_s = self._depth_images[i]
+        depth_m = (frame if j == i else self.source[j]).depth_m * self.repair.depth_factor
+        if self.repair.depth_kind == "ray":
+            depth_m = depth_m / rays(self.camera, pixel_grid(self.camera)).norm(dim=-1)
+        if not lag_s:
+            return depth_m
+        T_CD = se3.inverse(T_WC.double()) @ self._pose_after(i, lag_s)
+        return warp_depth(depth_m, self.camera, self.camera, T_CD)
+
+    @functools.cached_property
+    def _depth_images(self) -> list[tuple[int, float]]:
+        """For each frame the one whose depth image was taken nearest to its picture, and how much later, seconds."""
+        stamps, offset_s = getattr(self.source, "depth_times_s", None), self.repair.depth_offset_s
+        if self.repair.depth_pose == "colour" or not self.has_poses or not (stamps or offset_s):
+            return [(i, 0.0) for i in range(len(self))]
+        rgb_s = self.times_s.tolist()
+        depth_s = [t + offset_s for t in stamps or rgb_s]
+        nearest = dict(associate(rgb_s, depth_s, max_difference_s=self._path.step_s))
+        return [(j, depth_s[j] - rgb_s[i]) for i, j in ((i, nearest.get(i, i)) for i in range(len(self)))]
+
+    def _pose_after(self, i: int, seconds: float) -> Float[Tensor, "4 4"]:
+        """The pose that the camera had so long after picture ``i`` was taken, float64."""
+        later_s = self.repair.pose_offset_s + seconds
+        taken_s = np.interp(i + self.repair.pose_shift_frames, np.arange(len(self)), self.times_s)
+        T = self._path.at(torch.tensor([taken_s + later_s]))[0]
         if not bool(torch.isfinite(T).all()):
             raise BadFrameError(
-                f"{self.name} frame {i} has no pose: repair.pose_offset_s {self.repair.pose_offset_s:g} s leads "
-                "farther than one frame from every other pose; expected a smaller offset"
+                f"{self.name} frame {i} has no pose: {later_s:+g} s lead farther than one frame from every other pose; "
+                "expected a smaller repair.pose_offset_s or depth_offset_s"
             )
-        return T.float()
+        return T
 
     @property
     def times_s(self) -> Float[Tensor, " L"]:
         """Times of the frames, seconds. Raises ``SequenceError`` where the recording has none."""
         times_s = times_of(self.source)
         if times_s is None:
-            raise SequenceError(f"{self.name} has no times, so repair.pose_offset_s must be 0")
+            raise SequenceError(f"{self.name} has no times, so repair.pose_offset_s and depth_offset_s must be 0")
         return times_s
 
     @functools.cached_property

@@ -42,6 +42,9 @@ LENSES = {
 }
 """Calibration of the three Kinects, from the benchmark's page; the third is already undistorted."""
 
+CALIBRATIONS = ("calibration.txt", "camera.txt", "calib.txt", "intrinsics.txt", "intrinsics.json", "camera.json")
+"""Files with which a recording of another camera gives its own; the benchmark has none."""
+
 
 def tum(
     path: str | Path, *, camera: str | Camera = "auto", undistort: bool = True, poses: bool = True
@@ -50,8 +53,9 @@ def tum(
 
     Depth scale: 5000 per metre. Poses: camera-to-world, OpenCV axes. Pixel centres: integers in the benchmark's
     calibration, so 0.5 is added to ``cx`` and ``cy``. Each depth image goes with the colour image nearest in time, at
-    most 0.02 s away, each used once; the pose is interpolated at the depth image's time between ground-truth poses at
-    most 0.2 s apart. Depth images without one of them are dropped, and the number is logged.
+    most 0.02 s away, each used once; the pose is interpolated at the colour image's time between ground-truth poses at
+    most 0.2 s apart, and ``open_sequence`` moves the depth from its own time to it. Depth images without one of them
+    are dropped, and the number is logged.
 
     Undistortion: fr1 and fr2 images are distorted, and colour and depth correspond pixel by pixel, because the driver
     registers depth to the distorted colour image; so both are undistorted, or neither. Without undistortion a pixel is
@@ -60,7 +64,8 @@ def tum(
 
     Args:
         path: Folder of the sequence.
-        camera: "freiburg1", "freiburg2" or "freiburg3"; "auto" finds it in the folder's name; or your own pinhole.
+        camera: "freiburg1", "freiburg2" or "freiburg3"; "auto" finds it in the name of a folder without a calibration
+            of its own; or your own pinhole.
         poses: False for a recording without ``groundtruth.txt``; the camera must then be tracked.
         undistort: Remove the lens distortion of fr1 and fr2 from colour and depth. The field of view shrinks by 5 %.
 
@@ -75,7 +80,7 @@ def tum(
     rgb_s, rgb_files = _stream(root / "rgb.txt")
     depth_s, depth_files = _stream(root / "depth.txt")
     pairs = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
-    timed = [(depth_s[d], d, c) for d, c in pairs]
+    timed = [(rgb_s[c], d, c) for d, c in pairs]
     if poses:
         posed = _with_poses(root / "groundtruth.txt", timed)
         T_WC = matrices(torch.stack([row for *_, row in posed])) if posed else no_poses(0)
@@ -95,6 +100,7 @@ def tum(
         rgb_files=[rgb_files[c] for _, _, c, _ in posed],
         depth_files=[depth_files[d] for _, d, _, _ in posed],
         timestamps_s=[t for t, *_ in posed],
+        depth_times_s=[depth_s[d] for _, d, _, _ in posed],
         poses=T_WC,
         has_poses=poses,
         pose_sources=[f"{root / 'groundtruth.txt'} at {t:.6f} s" for t, *_ in posed],
@@ -111,8 +117,9 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
         name = benchmark_camera(root)
         if not name:
             raise SequenceError(
-                f"{root}: the folder's name holds none of {', '.join(LENSES)}; if it is the benchmark's, give one with "
-                f"--reader camera=freiburg1; a recording of another camera: gsfusion-nb convert {root} OUT"
+                f"{root}: the folder's name holds none of {', '.join(LENSES)}, or it has a calibration file; if it "
+                "is the benchmark's, give one with --reader camera=freiburg1; a recording of another camera: "
+                f"gsfusion-nb convert {root} OUT"
             )
     if name not in LENSES:
         raise SequenceError(f"{root}: no TUM camera {shown(name)}; known: {', '.join(LENSES)}")
@@ -120,7 +127,10 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
 
 
 def benchmark_camera(folder: Path) -> str:
-    """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name counts. Empty if none."""
+    """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name counts. Empty if none, or
+    if the folder holds a calibration of its own."""
+    if any((folder / name).is_file() for name in CALIBRATIONS):
+        return ""
     names = (given_name(folder), folder.resolve().name)
     return next((n for f in names for n in LENSES if n in f or n.replace("freiburg", "fr") in f), "")
 

@@ -39,12 +39,15 @@ class RecordedSequence:
     rgb_files: list[Path]
     depth_files: list[Path]
     timestamps_s: list[float]
+    """When the colour images were taken, seconds; ``poses`` are those of these times."""
     poses: Float[Tensor, "N 4 4"]
     """Camera-to-world, as read; float64."""
     pose_sources: list[str]
     """Where each pose was written, for messages."""
     depth_scale: float
     """Stored depth value of one metre."""
+    depth_times_s: list[float] | None = None
+    """When the depth images were taken, seconds; None: at the times of the colour images."""
     depth_invalid: tuple[int, ...] = ()
     """Stored depth values that mean "missing", besides 0."""
     rectify: Rectify | None = None

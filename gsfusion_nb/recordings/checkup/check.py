@@ -7,20 +7,22 @@ from pathlib import Path
 from typing import Any
 
 from ...config import DataConfig, RepairConfig
-from ...data.adjust.repair import apply_options
+from ...data.adjust.repair import RepairedSequence, apply_options
+from ...data.lens import Undistorter
 from ...data.open import detect_layout, known_layouts, open_sequence
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence
 from ...drawing.page import PageGraph
 from .colour import fit_colour, registration_findings
 from .explain import explain, pairs_of
-from .fit import CalibrationCorrection
+from .fit import CalibrationCorrection, FitData
 from .frames import exposure_finding, gains, graphs_of, image_findings, jump_finding, measure_over_frames
 from .judge_fit import agreement_finding, fit_findings
 from .pictures import path_from_above, pictures_of
 from .report import CheckupReport, Finding, flags_of, reader_flags
 from .sample import Sample, read_sample
 from .stored_values import clear_codes, examine_files, missing_finding, unit_finding
+from .trial import Trials, combined
 
 
 def check_recording(
@@ -50,34 +52,42 @@ def check_recording(
         SequenceError: the recording cannot be opened; the message says why.
     """
     started = time.perf_counter()
-    given = replace(data or DataConfig(), hold_out_every=0)
+    given = data or DataConfig()
     base, hint = _opened(sequence_or_path, reader_options)
     raw, findings = RepairConfig(), []
     if isinstance(base, RecordedSequence):
         raw, findings = examine_files(base, given.repair)
-    given = replace(given, repair=combined(given.repair, raw))
-    sequence = apply_options(base, given)
+    given = combined(given, DataConfig(repair=raw))
+    trials, sequence = Trials(base, given), apply_options(base, replace(given, hold_out_every=0))
     sample = read_sample(sequence, frames=frames)
-    pairs, posed = pairs_of(sample), getattr(base, "has_poses", True)
+    pairs, posed = pairs_of(trials.mapped(sample)), getattr(base, "has_poses", True)
+    known = {name: value for name, value in reader_options.items() if name != "format"}
     report = CheckupReport(
         name=sample.name,
         length=sample.length,
         frames_read=len(sample.frames),
         findings=[_readable_finding(sample, given.repair), *findings],
         data=given,
+        reader=known,
     )
     if not pairs:
         return report
 
-    found, more, reader, graphs = _examine(sample, pairs, base, hint, posed)
-    changes = {n: getattr(more, n) for n in ("start", "stop", "depth_min_m", "depth_max_m") if getattr(more, n)}
-    mended = replace(given, repair=combined(given.repair, more.repair), **changes)
-    again = apply_options(base, mended) if more != DataConfig() and posed else None
+    trials.pairs = [(sequence.positions[a], sequence.positions[b]) for a, b in pairs]
+    found, more, reader, graphs = _examine(sample, pairs, hint, posed, trials)
+    together = ""
+    if posed:
+        registered = _opened(sequence_or_path, {**reader_options, **reader})[0] if reader else None
+        found, more, together = trials.judged(found, more, registered)
+        reader = reader if any(f.repair == reader_flags(reader) for f in found) else {}
+    mended = combined(given, more)
+    again = apply_options(base, replace(mended, hold_out_every=0)) if more != DataConfig() and posed else None
     return replace(
         report,
         findings=[*report.findings, *found],
         data=mended,
-        reader=reader,
+        reader=known | reader,
+        together=together,
         pictures=pictures_of(sequence, again, pairs, posed=posed) if pictures else {},
         graphs=graphs if pictures else [],
         seconds=time.perf_counter() - started,
@@ -85,7 +95,7 @@ def check_recording(
 
 
 def _examine(
-    sample: Sample, pairs: abc.Sequence[tuple[int, int]], base: Sequence, hint: dict[str, Any], posed: bool
+    sample: Sample, pairs: abc.Sequence[tuple[int, int]], hint: dict[str, Any], posed: bool, trials: Trials
 ) -> tuple[list[Finding], DataConfig, dict[str, Any], list[PageGraph]]:
     """All findings that come from the frames read; without poses (``posed`` False) those on the images alone.
 
@@ -93,28 +103,32 @@ def _examine(
         The findings, the repairs that are added to those the recording was read with, the options of the reader that
         repair it, and the graphs.
     """
-    codes, code_finding = clear_codes(sample.frames, getattr(base, "depth_scale", None))
-    colour, colour_findings = registration_findings(fit_colour(sample), sample.camera)
-    related, reader = colour_findings[0].verdict != "wrong" or bool(colour.changes), {}
-    if hint and colour_findings[0].verdict in ("doubtful", "wrong"):  # a calibration is better than a shift
-        colour, reader, related = RepairConfig(), hint, True
-        colour_findings[0] = replace(colour_findings[0], repair=reader_flags(hint))
+    codes, code_finding = clear_codes(sample.frames, getattr(trials.base, "depth_scale", None))
     if posed:
-        e = explain(sample, pairs)
+        e = explain(trials.mapped(sample), pairs)
+        first, (e, sample) = agreement_finding(e), trials.in_time(e, sample)
         repair, graphs = e.repair, path_from_above(sample, e.interpretation)
-        first, about = agreement_finding(e), fit_findings(e, sample.camera)
+        rectify = getattr(trials.base, "rectify", None)
+        about = fit_findings(e, sample.camera, rectify.lens.camera if isinstance(rectify, Undistorter) else None)
         over = measure_over_frames(sample, e.interpretation, e.correction)
         piece, jumps = jump_finding(over, 1 + max(int(over.number.max()), sample.length - 1))
-        far = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
-        exposure = [exposure_finding(over, gains(sample, far, e.data, e.correction)[0])] if related else []
-        last = [jumps, *exposure]
+        last = [jumps]
         graphs += graphs_of(over)
     else:
-        (repair, unit), graphs, piece, last = unit_finding(sample, base), [], DataConfig(), []
+        (repair, unit), graphs, piece, last = unit_finding(sample, trials.base), [], DataConfig(), []
         about = [unit]
         text = "The recording has no poses: whatever needs them is not judged."
         first = Finding("poses", "unknown", text, repair="--tracking.poses tracked --reader poses=false")
         over = measure_over_frames(sample, RepairConfig(), CalibrationCorrection(), posed=False)
+    colour, colour_findings = registration_findings(fit_colour(trials.mapped(sample)), sample.camera)
+    related, reader = colour_findings[0].verdict != "wrong" or bool(colour.changes), {}
+    if hint and colour_findings[0].verdict in ("doubtful", "wrong"):  # a calibration is better than a shift
+        colour, reader, related = RepairConfig(), hint, True
+        colour_findings[0] = replace(colour_findings[0], repair=reader_flags(hint))
+    if posed and related:
+        far = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
+        data = FitData.of(sample, far, e.interpretation)
+        last.append(exposure_finding(over, gains(sample, far, data, e.correction)[0]))
     skip, images = image_findings(over, posed=posed)
     limits = DataConfig()
     for value_m, high in codes:  # exclude the codes, after the depth factor
@@ -122,22 +136,11 @@ def _examine(
         limits = replace(limits, **{name: round(factor * value_m * repair.depth_factor, 4)})
     code_finding = replace(code_finding, repair=flags_of(limits))
     skip = tuple(sorted({*skip, *piece.repair.skip}))
-    data = replace(limits, start=piece.start, stop=piece.stop, repair=replace(combined(repair, colour), skip=skip))
+    data = combined(DataConfig(repair=repair), DataConfig(repair=colour))
+    data = combined(combined(data, limits), replace(piece, repair=RepairConfig(skip=skip)))
     coverage = missing_finding(sample.frames)
     findings = [first, coverage, code_finding, *about, *colour_findings, *images, *last]
     return findings, data, reader, graphs
-
-
-def combined(first: RepairConfig, second: RepairConfig) -> RepairConfig:
-    """One correction equal to ``first`` followed by ``second``: factors are multiplied, shifts added, other values
-    replaced."""
-    changes = dict(second.changes)
-    for name in ("depth_factor", "translation_factor", "rgb_scale"):
-        changes[name] = getattr(first, name) * getattr(second, name)
-    for name in ("pose_shift_frames", "rgb_shift_frames", "pixel_shift", "rgb_shift_x_px", "rgb_shift_y_px"):
-        changes[name] = getattr(first, name) + getattr(second, name)
-    changes["skip"] = tuple(sorted({*first.skip, *second.skip}))
-    return replace(first, **changes)  # pyright: ignore[reportArgumentType]
 
 
 def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, Any]) -> tuple[Sequence, dict[str, Any]]:
@@ -145,6 +148,7 @@ def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, A
     if not isinstance(sequence_or_path, (str, Path)):
         return sequence_or_path, {}
     source = open_sequence(sequence_or_path, **reader_options).source
+    source = source.source if isinstance(source, RepairedSequence) else source
     layout = reader_options.get("format", "auto")
     if layout == "auto" and isinstance(source, RecordedSequence):
         layout = detect_layout(Path(sequence_or_path).expanduser())
@@ -155,7 +159,9 @@ def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, A
 def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:
     tried = len(sample.frames) + len(sample.unreadable)
     # a shift in time leaves these frames without a pose
-    ends = max(abs(given.pose_shift_frames), abs(given.rgb_shift_frames))
+    ends = max(
+        abs(given.pose_shift_frames), abs(given.rgb_shift_frames), bool(given.pose_offset_s or given.depth_offset_s)
+    )
     bad = {i: why for i, why in sample.unreadable.items() if ends <= i <= sample.length - 1 - ends}
     if not bad:
         return Finding("frames", "ok", f"All {tried} frames read are usable.")

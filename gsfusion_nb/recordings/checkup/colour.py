@@ -3,6 +3,7 @@ findings on it.
 """
 
 import math
+from collections import abc
 from dataclasses import dataclass
 
 import cv2
@@ -149,6 +150,12 @@ def colour_contrast(grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> F
     return np.asarray(np.minimum(size / (cv2.blur(size, (31, 31)) + 4), 4), dtype=np.float32)
 
 
+def on_edges(edges: abc.Sequence[np.ndarray], frames: abc.Sequence[FrameFacts]) -> float:
+    """Mean colour contrast of frames on depth edges, above that of all their pixels."""
+    contrasts = [(E, colour_contrast(f.grey, E.shape)) for E, f in zip(edges, frames, strict=True)]
+    return sum(float((E * (G - G.mean())).sum() / max(E.sum(), 1)) for E, G in contrasts) / len(contrasts)
+
+
 def _closed(depth_m: np.ndarray, reach: int = 5) -> np.ndarray:
     """Depth in which holes of at most ``2 * reach`` pixels in a row are filled with the farther side."""
     closed = cv2.morphologyEx(depth_m, cv2.MORPH_CLOSE, np.ones((1, 2 * reach + 1)))
@@ -227,8 +234,7 @@ def _best_time(anchors: list[FrameFacts], there: dict[int, FrameFacts]) -> tuple
     for k in range(-TIME_REACH, TIME_REACH + 1):
         both = [(edges[f.place], there[f.place + k]) for f in anchors if f.place + k in there]
         if len(both) >= max(1, len(anchors) // 2):
-            contrasts = [(E, colour_contrast(f.grey, E.shape)) for E, f in both]
-            scores[k] = sum(float((E * (G - G.mean())).sum() / max(E.sum(), 1)) for E, G in contrasts) / len(both)
+            scores[k] = on_edges(*zip(*both, strict=True))
     best = max(scores, key=scores.__getitem__)
     return best, scores[best], scores[0]
 

@@ -18,6 +18,8 @@ from .sample import Sample
 
 _AGREES_FOR_COLOUR = 0.02
 _USABLE_GREY = (12, 243)
+_SAME_GREY = 10.0
+"""Grey levels by which two pictures of a point may differ."""
 _PART = 64
 
 
@@ -62,7 +64,7 @@ def measure_over_frames(
         part = with_next[k : k + _PART]
         pairs = [(a.place, b.place) for _, a, b in part]
         data = FitData.of(sample, pairs, interpretation)
-        stops, errors = gains(sample, pairs, data, correction)
+        stops, errors, _ = gains(sample, pairs, data, correction)
         for j, (i, _, _) in enumerate(part):
             out["gain_stops"][i], out["error"][i] = stops[j], errors[j]
     return OverFrames(
@@ -93,12 +95,13 @@ def graphs_of(over: OverFrames) -> list[PageGraph]:
 
 def gains(
     sample: Sample, pairs: abc.Sequence[tuple[int, int]], data: FitData, correction: CalibrationCorrection
-) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
-    """Brightness of the same points in the second / first frame of each pair, log2, without those near black or white,
-    and the median relative difference of their depths; NaN if there are too few points."""
+) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
+    """Brightness of the same points in the second / first frame of each pair, log2, without those near black or white;
+    the median relative difference of their depths; and the share of all points that agree in depth and, apart from that
+    ratio, in brightness. NaN, and 0, if there are too few points."""
     uv_b, residual, all_known = reproject(data, correction)
     there, residual, (low, high) = sample.by_place, residual.abs(), _USABLE_GREY
-    stops, errors = np.full(len(pairs), np.nan), np.full(len(pairs), np.nan)
+    stops, errors, shares = np.full(len(pairs), np.nan), np.full(len(pairs), np.nan), np.zeros(len(pairs))
     for j, (first, second) in enumerate(pairs):
         known = all_known[j]
         if int(known.sum()) < 50:
@@ -110,7 +113,9 @@ def gains(
         good = (a > low) & (a < high) & (b > low) & (b < high)
         if good.sum() >= 30:
             stops[j] = float(np.median(np.log2(b[good] / a[good])))
-    return stops, errors
+            same = np.abs(b / 2 ** stops[j] - a) < _SAME_GREY
+            shares[j] = float(same.sum()) / int((data.depth_a[j] > 0).sum())
+    return stops, errors, shares
 
 
 def _look_up(grey: np.ndarray, uv: torch.Tensor, depth_width: int) -> np.ndarray:

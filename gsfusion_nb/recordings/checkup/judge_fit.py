@@ -24,13 +24,6 @@ _SCALES = {
 def agreement_finding(e: Explanation) -> Finding:
     """Finding: do frames agree after all repairs?"""
     usual_error = median_error(e.data, e.correction)
-    numbers = {
-        "agreeing_as_read": e.as_read.share,
-        "agreeing_repaired": e.repaired.share,
-        "error_as_read_m": e.as_read.median_m,
-        "error_repaired_m": e.repaired.median_m,
-        "relative_error": usual_error,
-    }
     text = (
         f"{e.repaired.share:.0%} of a frame's points agree with another frame within 3 %, the median difference is "
         f"{100 * e.repaired.median_m:.2g} cm"
@@ -39,31 +32,42 @@ def agreement_finding(e: Explanation) -> Finding:
         text += f" with the repair (as read: {e.as_read.share:.0%}, {100 * e.as_read.median_m:.2g} cm)"
     if not usual_error <= _TYPICAL_ERROR:
         repair = "check that poses and images belong together; compare the pictures on the page"
-        return Finding("agreement", "wrong", f"{text}: no interpretation explains the data.", repair, numbers)
+        return Finding("agreement", "wrong", f"{text}: no interpretation explains the data.", repair)
     if e.repaired.share < _HARDLY and usual_error > _TYPICAL_ERROR / 2:
-        return Finding("agreement", "doubtful", f"{text}: little overlap, or imprecise poses.", numbers=numbers)
-    return Finding("agreement", "ok", f"{text}.", numbers=numbers)
+        return Finding("agreement", "doubtful", f"{text}: little overlap, or imprecise poses.")
+    return Finding("agreement", "ok", f"{text}.")
 
 
-def fit_findings(e: Explanation, camera: Camera) -> list[Finding]:
-    """Findings on units, kind of depth, conventions and time of the poses, and intrinsics."""
+def fit_findings(e: Explanation, camera: Camera, lens: Camera | None = None) -> list[Finding]:
+    """Findings on units, kind of depth, conventions and time of the poses, and intrinsics.
+
+    Args:
+        e: The explanation.
+        camera: Of the frames.
+        lens: Camera of the stored images, where their distortion was removed.
+    """
     r, shift = e.repair, e.repair.pose_shift_frames
     scale = f"Depth must be multiplied by {r.depth_factor:g}{_SCALES.get(r.depth_factor, '')}."
     if r.translation_factor != 1.0:
         scale = f"The positions of the poses must be multiplied by {r.translation_factor:g} to be metres."
     side = "later" if shift > 0 else "earlier"
     late = f"A frame's depth image belongs to the pose recorded {abs(shift):.1f} frames {side}."
+    if not shift:
+        rgb_ms, depth_ms = 1000 * r.pose_offset_s + 0.0, 1000 * (r.pose_offset_s + r.depth_offset_s)
+        late = f"By the clock of the poses, pictures were taken {rgb_ms:+.0f} ms and depth images {depth_ms:+.0f} ms "
+        late += "after their time stamps."
     focal = f"The focal lengths are wrong: fx {camera.fx:.1f}, fy {camera.fy:.1f}, but the depth images give fx "
     focal += f"{r.fx:.1f}, fy {r.fy:.1f}"
     if "intrinsics size" in e.adopted:
         focal += f": the intrinsics are those of images {camera.fx / r.fx:.3g} times as large"
     centre = f"The principal point is wrong: {camera.cx:.1f}, {camera.cy:.1f}, but the depth images give {r.cx:.1f}, "
     ray = "Depth is the distance along each pixel's ray, not along the optical axis."
+    undistorted = f" without distortion; the lens has {lens.fx:.1f} and {lens.fy:.1f}" if lens else ""
     known = {kind: fit.uncertainty for kind, fit in e.fits.items()}
     same = {
         "depth scale": f"Depth and positions have the same unit (± {100 * known['depth scale']:.1f} %).",
         "pose time": f"Poses and depth have the same time (± {known['pose time']:.2f} frames).",
-        "focal length": f"The focal lengths fit (fx {camera.fx:.1f}, fy {camera.fy:.1f}, ± "
+        "focal length": f"The focal lengths fit (fx {camera.fx:.1f}, fy {camera.fy:.1f}{undistorted}, ± "
         f"{100 * known['focal length']:.1f} %).",
         "principal point": f"The principal point fits (cx {camera.cx:.1f}, cy {camera.cy:.1f}, ± "
         f"{known['principal point']:.1f} pixels).",
@@ -93,7 +97,9 @@ def fit_findings(e: Explanation, camera: Camera) -> list[Finding]:
         judged("depth scale", units, scale, same["depth scale"], "depth scale"),
         judged("depth kind", ("depth_kind",), ray, axis, "depth kind"),
         *_conventions(e),
-        judged("pose time", ("pose_shift_frames",), late, same["pose time"], "pose time"),
+        judged(
+            "pose time", ("pose_shift_frames", "pose_offset_s", "depth_offset_s"), late, same["pose time"], "pose time"
+        ),
         judged("focal length", ("fx", "fy"), f"{focal}.", same["focal length"], *lengths),
         judged("principal point", ("cx", "cy"), f"{centre}{r.cy:.1f}.", same["principal point"], "principal point"),
     ]

@@ -27,8 +27,6 @@ class Finding:
     """What was found, with the numbers that matter."""
     repair: str = ""
     """Options of ``gsfusion-nb map``, or what to do; empty if nothing needs to be done."""
-    numbers: Mapping[str, float] = field(default_factory=dict)
-    """Of the agreement: shares and depth differences; the unit is part of the name."""
 
 
 def flags_of(data: DataConfig) -> str:
@@ -56,7 +54,9 @@ class CheckupReport:
     length: int
     frames_read: int
     reader: Mapping[str, Any] = field(default_factory=dict)
-    """Options of the reader that repair it: ``open_sequence(path, **report.reader)``."""
+    """Options of the reader, given or found to repair it: ``open_sequence(path, **report.reader)``."""
+    together: str = ""
+    """What all repairs together gain, in words."""
     pictures: Mapping[str, Picture] = field(default_factory=dict)
     """Caption -> picture."""
     graphs: Sequence[PageGraph] = ()
@@ -114,6 +114,8 @@ class CheckupReport:
                 lines.append(f"      {'':<{width}}  -> {f.repair}")
         if self.flags:
             lines.append(f"All repairs together: {self.flags}")
+        if self.together:
+            lines.append(f"With all of them {self.together}.")
         return "\n".join(lines)
 
     def __repr__(self) -> str:

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError, tum
+from gsfusion_nb.config import DataConfig, GSFusionConfig, RepairConfig
+from gsfusion_nb.config.parts import TrackingConfig
+from gsfusion_nb.data import SequenceError, open_sequence, tum
 from gsfusion_nb.data.adjust.depth_agreement import depth_agreement
 from gsfusion_nb.data.lens import CameraModel, Undistorter
 from gsfusion_nb.data.readers.tum import LENSES
+from gsfusion_nb.data.recorded.images import read_depth
 from gsfusion_nb.data.recorded.poses import interpolate_rows
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.types import Camera
@@ -47,12 +50,50 @@ def test_reads_what_was_written(tmp_path, box):
     assert len(seq) == 4
     assert seq.camera == box.camera
     for i, frame in enumerate(seq):
-        t = 0.1 + i / 30
-        assert frame.timestamp_s == pytest.approx(T0 + t, abs=1e-5)  # the depth image's time
+        t = 0.112 + i / 30
+        assert frame.timestamp_s == pytest.approx(T0 + t, abs=1e-5)  # the colour image's time
         assert torch.allclose(
             frame.T_WC.double(), box.pose_at(t), atol=2e-5
         )  # the pose at that time, between two records
-        assert box.off_wall_m(frame) < 0.0002
+    same = tum(write(tmp_path / "same", box, rgb_lag=0.0), camera=box.camera)
+    assert all(box.off_wall_m(frame) < 0.0002 for frame in same)
+    opened = open_sequence(tmp_path / "same", camera=box.camera)
+    assert all(
+        torch.equal(a.depth_m, b.depth_m) and torch.equal(a.T_WC, b.T_WC) for a, b in zip(opened, same, strict=True)
+    )
+
+
+def test_depth_has_the_pose_of_its_own_time(tmp_path, box):
+    camera = box.camera.resized(8 * box.camera.width, 8 * box.camera.height)
+    root = write(tmp_path / "scan", box, n=6, rgb_lag=0.016, camera=camera)
+    asked = {"own": RepairConfig(), "as one": RepairConfig(depth_pose="colour")}
+    read = {name: open_sequence(root, camera=camera, data=DataConfig(repair=r)) for name, r in asked.items()}
+    error_m = {name: max(box.off_wall_m(frame) for frame in seq) for name, seq in read.items()}
+    assert error_m["own"] < error_m["as one"] / 4
+    for a, b in zip(*read.values(), strict=True):
+        assert torch.equal(a.T_WC, b.T_WC)
+        assert torch.equal(a.colour, b.colour)
+
+
+def test_a_late_depth_camera(tmp_path, box):
+    """Depth images are listed 30 ms after they were taken: each belongs to the picture before its own."""
+    root = write(tmp_path / "scan", box, n=6, rgb_lag=0.0)
+    (root / "depth.txt").write_text(
+        "\n".join(f"{T0 + 0.13 + i / 30:.6f} depth/{T0 + 0.1 + i / 30:.6f}.png" for i in range(6))
+    )
+    late, mended = (
+        open_sequence(root, camera=box.camera, data=DataConfig(repair=RepairConfig(depth_offset_s=offset_s)))
+        for offset_s in (0.0, -0.03)
+    )
+    assert max(box.off_wall_m(frame) for frame in mended) < min(box.off_wall_m(frame) for frame in late) / 4
+    true = tum(root, camera=box.camera)
+    stored = torch.from_numpy(read_depth(true.depth_files[3], scale=5000.0))
+    assert torch.allclose(mended[2].depth_m, stored, atol=1e-4)
+
+
+def test_tracking_does_not_know_how_the_camera_moved_between_picture_and_depth():
+    assert GSFusionConfig(tracking=TrackingConfig(poses="tracked")).data.repair.depth_pose == "colour"
+    assert GSFusionConfig().data.repair.depth_pose == "own"
 
 
 @pytest.mark.parametrize(
@@ -84,8 +125,8 @@ def test_frames_without_colour_or_pose_are_dropped(tmp_path, box, caplog):
     (root / "rgb.txt").write_text("\n".join(line for k, line in enumerate(lines) if k != 3))
     with caplog.at_level(logging.WARNING, logger="gsfusion_nb"):
         seq = tum(root, camera=box.camera)
-    assert [round(t - T0, 3) for t in seq.timestamps_s] == [0.1, 0.167, 0.2, 0.233, 0.267, 0.3]
-    assert "dropped 1 depth images without colour and 1 without pose" in caplog.text
+    assert [round(t - T0, 3) for t in seq.timestamps_s] == [0.112, 0.179, 0.212, 0.245, 0.279]
+    assert "dropped 1 depth images without colour and 2 without pose" in caplog.text
 
 
 def test_gaps_in_the_trajectory(tmp_path, box):
@@ -95,9 +136,9 @@ def test_gaps_in_the_trajectory(tmp_path, box):
         tum(write(tmp_path / "b", box, n=1, rgb_lag=0.0215), camera=box.camera)
     root = write(tmp_path / "c", box)
     lines = (root / "groundtruth.txt").read_text().splitlines()
-    lines[11] = f"{T0 + 0.103:.4f}" + " nan" * 7  # lost for one record: bridged
+    lines[12] = f"{T0 + 0.113:.4f}" + " nan" * 7  # lost for one record: bridged
     (root / "groundtruth.txt").write_text("\n".join(lines))
-    assert torch.allclose(tum(root, camera=box.camera).pose(0).double(), box.pose_at(0.1), atol=2e-4)
+    assert torch.allclose(tum(root, camera=box.camera).pose(0).double(), box.pose_at(0.112), atol=2e-4)
 
 
 def test_interpolation_by_hand():
@@ -163,7 +204,7 @@ def test_undistortion_follows_the_lens_model_and_leaves_no_border():
 
 def test_fr1_images_are_consistent_only_when_undistorted(tmp_path, box):
     """Render through the fr1 lens, both colour and depth in the distorted pixels, as the Kinect's driver gives them."""
-    root = write(tmp_path / "freiburg1_box", box, n=2)
+    root = write(tmp_path / "freiburg1_box", box, n=2, rgb_lag=0.0)
     lens = LENSES["freiburg1"]
     c = lens.camera
     ideal = Camera(width=800, height=640, fx=517.3, fy=516.5, cx=400.0, cy=320.0)

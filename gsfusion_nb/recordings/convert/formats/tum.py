@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ....checks import shown
 from ....data.lens import CameraModel
-from ....data.readers.tum import LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
+from ....data.readers.tum import CALIBRATIONS, LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
 from ....data.recorded.files import images_in, natural_order
 from ....data.recorded.images import read_rgb
 from ....data.recorded.poses import read_words
@@ -169,7 +169,6 @@ def _named_by_time(path: Path, name: str) -> _Stream:
     return _Stream(str(folder), files if stamps.times_s is None else ordered, stamps)
 
 
-_CALIBRATIONS = ("calibration.txt", "camera.txt", "calib.txt", "intrinsics.txt", "intrinsics.json", "camera.json")
 _TRAJECTORIES = ("groundtruth.txt", "poses.txt", "trajectory.txt", "CameraTrajectory.txt")
 
 LOOKS_FOR = "rgb.txt and depth.txt, associations.txt, or rgb/ and depth/"
@@ -227,13 +226,14 @@ def _trajectory(path: Path, frames: TumFrames, options: ConvertOptions) -> Traje
 
 def _model(path: Path, image: Path, options: ConvertOptions) -> tuple[CameraModel | None, list[str]]:
     """Camera of the options, of a calibration file or of the benchmark, if any, and a sentence that names it."""
-    file = options.intrinsics or next((str(path / n) for n in _CALIBRATIONS if (path / n).is_file()), "")
+    file = options.intrinsics or next((str(path / n) for n in CALIBRATIONS if (path / n).is_file()), "")
+    known = benchmark_camera(path)
+    if not file and not known:
+        return None, []
+    height, width = read_rgb(image).shape[:2]
     if file:
-        height, width = read_rgb(image).shape[:2]
         centre = options.pixel_centre if options.intrinsics else 0.0
         return read_intrinsics(file, (width, height), centre=centre), [f"intrinsics from {file}"]
-    known = benchmark_camera(path)
-    if not known:
+    if (LENSES[known].camera.width, LENSES[known].camera.height) != (width, height):
         return None, []
-    lens = LENSES[known]
-    return CameraModel(lens.camera, lens.distortion), [f"intrinsics of the TUM benchmark's {known}"]
+    return LENSES[known], [f"intrinsics of the TUM benchmark's {known}"]
