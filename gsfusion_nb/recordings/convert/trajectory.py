@@ -1,6 +1,7 @@
-"""The pose of every frame: as recorded, or from a separate trajectory file, interpolated at the frame's time."""
+"""The pose of every frame: as recorded, or from a file, one per frame or interpolated at the frame's time."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,47 +10,60 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices
+from ...data.recorded.files import images_in
+from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices, read_words
 from ...data.recorded.times import PER_SECOND
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
 from ...files import parsing, read_text, refusing
 from ...geometry import se3
-from .recording import ConvertOptions, RecordedFrame, Recording
+from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording, read_array
 
 
 class FramePoses:
-    """Pose of each frame: the recorded one, or one from a separate trajectory at its time; scaled to metres and
+    """Pose of each frame: the recorded one, or one from a file, by its place or at its time; scaled to metres and
     checked."""
 
     def __init__(self, recording: Recording, options: ConvertOptions):
         self.trajectory: Trajectory | None = None
+        self._per_frame: PosesPerFrame | None = None
         self.none = options.poses == "none"
         self._offset_s = options.time_offset_s
         self._recording = recording
         self.notes: list[str] = []
-        if options.poses and not self.none:
+        file = "" if self.none else options.poses or recording.poses_file
+        if file:
+            self._T_body_cam = camera_in_body(options.T_cam_body, options.T_body_cam)
+            self._per_frame = poses_per_frame(Path(file), recording.n_frames)
+        if file and self._per_frame is not None:
+            self.notes.append(f"{file}: one pose per frame, taken as camera-to-world, OpenCV axes, metres")
+        elif file:
             self.trajectory = read_trajectory(
-                Path(options.poses),
+                Path(file),
                 time_unit=options.pose_time_unit,
                 max_gap_s=options.max_gap_s,
-                T_body_cam=camera_in_body(options.T_cam_body, options.T_body_cam),
+                T_body_cam=self._T_body_cam,
             )
             self.notes += self.trajectory.notes
         elif not self.none and not recording.has_poses:
-            raise SequenceError(
+            raise OptionNeeded(
                 f"{recording.name} holds no poses; give a trajectory with --poses FILE (TUM, OKVIS2, ORB-SLAM3, "
-                "EuRoC), or --poses none to track the camera later"
+                "EuRoC, or one pose per frame), or --poses none to track the camera later",
+                option="poses",
+                question="Which file holds the poses? none: they are estimated by tracking the camera",
             )
         self._scale = 1.0 if self.none else self._metres_per_unit(options)
 
-    def of(self, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
-        """Pose, or None and the reason why there is none; float64, metres."""
-        if self.trajectory is not None:
+    def of(self, place: int, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
+        """Pose of the frame at a place of the recording, or None and why there is none; float64, metres."""
+        if self._per_frame is not None:
+            T, reason = self._per_frame.of(place, frame.source), "no pose of its name"
+            T = T if T is None or self._T_body_cam is None else T @ self._T_body_cam
+        elif self.trajectory is not None:
             if frame.time_s is None:
                 raise SequenceError(
-                    f"{frame.source} has no time, which --poses needs; expected a format with times, or image names "
-                    "that are times"
+                    f"{self.trajectory.path} gives poses by time, but {frame.source} has none; expected image names or "
+                    "lists with times; --poses none tracks the camera later"
                 )
             T = self.trajectory.pose_at(frame.time_s + self._offset_s)
             reason = "the trajectory has no pose around its time"
@@ -77,6 +91,88 @@ class FramePoses:
             f"these poses have no unit of length; one unit is taken as {scale:.6g} m ({sentence}; --scale)"
         )
         return scale
+
+
+def frame_key(name: str) -> tuple[int, ...] | str:
+    """What the names of one frame's files have in common: the numbers in them, or the name where there are none."""
+    return tuple(int(n) for n in re.findall(r"\d+", name)) or name
+
+
+@dataclass(frozen=True, eq=False)
+class PosesPerFrame:
+    """Camera-to-world poses by the place of the frame, or by the name of its image."""
+
+    path: str
+    T_WC: Float[Tensor, "N 4 4"]
+    """float64"""
+    names: Sequence[str] = ()
+
+    def of(self, place: int, source: str) -> Float[Tensor, "4 4"] | None:
+        """The pose; None if no name fits."""
+        if not self.names:
+            return self.T_WC[place]
+        keys = [frame_key(Path(name).stem) for name in self.names]
+        key = frame_key(Path(source).stem)
+        return self.T_WC[keys.index(key)] if key in keys else None
+
+
+_PER_FRAME = {4: "4x4 numbers", 7: "tx ty tz qx qy qz qw", 12: "3x4 numbers", 16: "4x4 numbers"}
+
+
+def poses_per_frame(path: Path, n_frames: int) -> PosesPerFrame | None:
+    """Poses of a file that has one for each frame, or of a folder with a file for each; None where they have times.
+
+    Rows hold 16 or 12 numbers of a matrix, "tx ty tz qx qy qz qw", or the name of the image and 16 numbers; a matrix
+    may take four rows.
+
+    Raises:
+        SequenceError: another number of poses than of frames.
+    """
+    what = "one pose per frame: " + ", ".join(_PER_FRAME.values())
+    names: list[str] = []
+    if path.is_dir():
+        files = images_in(path, (".txt", ".npy"))
+        files = [f for f in files if "pose" in f.name] or files
+        names, values = [f.name for f in files], [_numbers_of(f, what) for f in files]
+        if any(len(row) not in (12, 16) for row in values):
+            raise SequenceError(f"{path} must hold a file with a matrix of 4x4 or 3x4 numbers for each image")
+    elif path.suffix == ".npy":
+        with parsing(path, what):
+            array = read_array(path, what)
+            values = array.reshape(len(array), -1).tolist()
+    else:
+        rows = [words for _, words in read_words(path, what)]
+        if all(len(row) == 17 and [float(w) for w in row[-4:]] == [0, 0, 0, 1] for row in rows):
+            names, rows = [row[0] for row in rows], [row[1:] for row in rows]
+        if {len(row) for row in rows} - set(_PER_FRAME):
+            return None
+        with parsing(path, what):
+            values = [[float(w) for w in row] for row in rows]
+    with parsing(path, what):
+        table = torch.tensor(values, dtype=torch.float64)
+        poses = matrices(table) if table.shape[1] == 7 else _whole(table.reshape(-1, *_shape(table)))
+    if not names and len(poses) != n_frames:
+        raise SequenceError(
+            f"{path} holds {len(poses)} poses; expected {n_frames}, one per frame; if images are missing, put the name "
+            "of its image before each pose; --poses none tracks the camera later"
+        )
+    return PosesPerFrame(str(path), poses, names)
+
+
+def _numbers_of(path: Path, what: str) -> list[float]:
+    with parsing(path, what):
+        return read_array(path, what).ravel().tolist() if path.suffix == ".npy" else read_numbers(path, what)
+
+
+def _shape(table: Float[Tensor, "N C"]) -> tuple[int, int]:
+    return (3 if table.shape[1] == 12 else 4), 4
+
+
+def _whole(matrices_: Float[Tensor, "N R 4"]) -> Float[Tensor, "N 4 4"]:
+    """Matrices with their last row."""
+    whole = torch.eye(4, dtype=torch.float64).repeat(len(matrices_), 1, 1)
+    whole[:, : matrices_.shape[1]] = matrices_
+    return whole
 
 
 _TUM = [0, 1, 2, 3, 4, 5, 6, 7]

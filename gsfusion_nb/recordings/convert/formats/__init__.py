@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from ....data.sequence import SequenceError, SequenceNotFoundError
-from . import colmap, icl_nuim, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
+from . import colmap, icl_nuim, images, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
 
 FORMATS = {
     "ros": ros_bag, "scannet": scannet, "record3d": record3d, "nerfstudio": nerfstudio, "icl_nuim": icl_nuim,
-    "colmap": colmap, "open3d": open3d_log, "tum": tum,
+    "colmap": colmap, "open3d": open3d_log, "tum": tum, "images": images,
 }  # fmt: skip
 """Formats by name, in the order in which they are tried. The module of a format has ``recognise(path)``,
 ``read(path, options)``, and ``LOOKS_FOR``, which says what identifies it."""
