@@ -9,11 +9,9 @@ from typing import Annotated
 import tyro
 
 from ..config.values import parse_options, parse_value
-from ..data.open import detect_layout
-from ..data.readers.tum import benchmark_camera
 from ..data.sequence import SequenceError
 from ..files import read_object
-from ..recordings.convert.formats import FORMATS, known_formats
+from ..recordings.convert.formats import FORMATS, known_formats, readable_layout
 from ..recordings.convert.recording import ConvertOptions, OptionNeeded
 from ..recordings.convert.run import ConvertReport, convert
 
@@ -66,7 +64,7 @@ def mappable(source: str) -> tuple[str, bool]:
         SequenceError, OptionNeeded: as ``convert_or_ask``.
     """
     path = Path(source).expanduser()
-    if not _is_foreign(path):
+    if readable_layout(path) or not any(f.recognise(path) for f in FORMATS.values() if path.exists()):
         return source, False
     out = CONVERTED / path.resolve().name
     made = out / "conversion.json"
@@ -83,19 +81,6 @@ def mappable(source: str) -> tuple[str, bool]:
     else:
         print(f"{path} was converted to {out} before; remove that folder to convert it again")
     return str(out), not (out / "poses.txt").is_file()
-
-
-def _is_foreign(path: Path) -> bool:
-    """Whether only a conversion can read it: no reader fits, or one that knows other cameras, or no unit of depth."""
-    try:
-        layout = detect_layout(path) if path.is_dir() else ""
-    except SequenceError:
-        layout = ""
-    if not layout:
-        return path.exists() and any(f.recognise(path) for f in FORMATS.values())
-    if layout == "folder":
-        return "depth_scale" not in read_object(path / "intrinsics.json", "the camera's intrinsics")
-    return layout == "tum" and not benchmark_camera(path)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,12 +17,12 @@ import numpy as np
 import tyro
 
 from ..config.values import named_values, parse_options
-from ..data.open import detect_layout, open_sequence
+from ..data.open import open_sequence
 from ..data.readers.tum import benchmark_camera
 from ..data.recorded.recorded_sequence import RecordedSequence
 from ..data.sequence import BadFrameError, SequenceError
 from ..files import atomic_folder, noting_files, parsing, read_object, read_text
-from .convert.formats import FORMATS, detect_format
+from .convert.formats import FORMATS, detect_format, readable_layout
 from .convert.recording import ConvertOptions, read_array
 from .convert.run import convert
 
@@ -82,10 +82,7 @@ def write_excerpt(source: Path, out: Path, chosen: slice, **reader: Any) -> int:
     Raises:
         SequenceError: the recording cannot be read, or it has none of these frames. FileExistsError: ``out`` is in use.
     """
-    try:
-        layout = detect_layout(source) if source.is_dir() else ""
-    except SequenceError:
-        layout = ""
+    layout = readable_layout(source)
     format = "" if layout else detect_format(source)
     if format in _BY_PLACE or (format and not source.is_dir()):
         options = ConvertOptions(start=chosen.start or 0, stop=chosen.stop or 0, every=chosen.step or 1)
@@ -95,15 +92,13 @@ def write_excerpt(source: Path, out: Path, chosen: slice, **reader: Any) -> int:
     if not places:
         raise SequenceError(f"{source} has {len(images)} frames; --frames chooses none of them")
     wanted, every = {f for place in places for f in images[place]}, {f for files in images for f in files}
-    names = {f.name for f in wanted}, {f.name for f in every}
+    parts = _Parts({f.name for f in wanted}, {f.name for f in every}, len(images), places)
     with atomic_folder(out, out.with_name(f".{out.name}.partial")) as folder:
         for file in sorted(wanted | {*shared} - every):
             target = folder / (file.relative_to(source) if file.is_relative_to(source) else file.name)
             target.parent.mkdir(parents=True, exist_ok=True)
-            if file in wanted or layout == "replica":
+            if file in wanted or layout == "replica" or not parts.write(file, target):
                 shutil.copyfile(file, target)
-            else:
-                _write_part(file, target, *names, len(images), places)
     return len(places)
 
 
@@ -111,11 +106,7 @@ def _files_of_layout(source: Path, layout: str, reader: dict[str, Any]) -> tuple
     """Files of the whole recording, and those of each frame."""
     sequence = open_sequence(source, format=layout, **reader).source
     assert isinstance(sequence, RecordedSequence)
-    images = [[*pair] for pair in zip(sequence.rgb_files, sequence.depth_files, strict=True)]
-    if layout == "seven_scenes":
-        for files, pose in zip(images, sequence.pose_sources, strict=True):
-            files.append(Path(pose))
-    return [*sequence.read_from], images
+    return [*sequence.read_from], [[*pair] for pair in zip(sequence.rgb_files, sequence.depth_files, strict=True)]
 
 
 def _files_of_format(source: Path, format: str) -> tuple[list[Path], list[list[Path]]]:
@@ -123,12 +114,9 @@ def _files_of_format(source: Path, format: str) -> tuple[list[Path], list[list[P
     with noting_files() as shared, parsing(source, f"a recording in the format {format}"):
         recording = FORMATS[format].read(source, ConvertOptions(depth_scale=1000.0))
     frames, images = recording.frames(), []
-    while True:
+    for _ in range(recording.n_frames):
         with noting_files() as files, contextlib.suppress(BadFrameError):
-            frame = next(frames, None)
-            if frame is None:
-                break
-            frame.load()
+            next(frames).load()
         images.append(files)
     poses = Path(recording.poses_file)
     if recording.poses_file:
@@ -136,47 +124,34 @@ def _files_of_format(source: Path, format: str) -> tuple[list[Path], list[list[P
     return shared, images
 
 
-def _write_part(file: Path, target: Path, kept: set[str], all_names: set[str], n: int, places: Sequence[int]) -> None:
-    """Copy a file; of a list of images or of one pose per frame only the lines of the kept frames."""
-    if file.suffix == ".npy":
-        with parsing(file, "a NumPy array"):
+@dataclass(frozen=True)
+class _Parts:
+    """Writes the part of a list, or of a file with one pose per frame, that belongs to the kept frames."""
+
+    kept: set[str]
+    """Names of their images."""
+    images: set[str]
+    """Names of all images."""
+    n_frames: int
+    places: Sequence[int]
+
+    def write(self, file: Path, target: Path) -> bool:
+        """Whether the file is one of these, and was written."""
+        if file.suffix == ".npy":
             array = read_array(file, "a NumPy array")
-        if array.ndim > 1 and len(array) == n:
-            np.save(target, array[list(places)])
-            return
-    elif file.suffix == ".json":
-        values = read_object(file, "a JSON object")
-        part = _named_part(values, kept, all_names)
-        if part != values:
-            target.write_text(json.dumps(part, indent=1), encoding="utf-8")
-            return
-    elif file.suffix in (".txt", ".csv"):
+            if array.ndim > 1 and len(array) == self.n_frames:
+                np.save(target, array[list(self.places)])
+                return True
+        if file.name == "train_test_lists.json":
+            lists = read_object(file, "lists of images")
+            part = {name: [image for image in images if image in self.kept] for name, images in lists.items()}
+            return bool(target.write_text(json.dumps(part), encoding="utf-8"))
+        if file.suffix not in (".txt", ".csv"):
+            return False
         lines = read_text(file, "lines of text").splitlines(keepends=True)
-        rows = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
-        names = {i: {Path(word).name for word in lines[i].split()} & all_names for i in rows}
-        widths = {len(lines[i].split()) for i in rows}
-        if any(names.values()):
-            drop = {i for i in rows if not names[i] & kept}
-        elif len(rows) == n and widths <= set(_PER_IMAGE):
-            drop = set(rows) - {rows[place] for place in places}
-        else:
-            drop = set()
-        if drop:
-            target.write_text("".join(line for i, line in enumerate(lines) if i not in drop), encoding="utf-8")
-            return
-    shutil.copyfile(file, target)
-
-
-def _named_part(values: Any, kept: set[str], all_names: set[str]) -> Any:
-    """JSON values without the entries of lists that name an image which is not kept."""
-    if isinstance(values, dict):
-        return {key: _named_part(value, kept, all_names) for key, value in values.items()}
-    if not isinstance(values, list):
-        return values
-    texts = [
-        {Path(text).name for text in (v.values() if isinstance(v, dict) else [v]) if isinstance(text, str)}
-        for v in values
-    ]
-    return [
-        _named_part(v, kept, all_names) for v, t in zip(values, texts, strict=True) if not t & all_names or t & kept
-    ]
+        rows = {i: line.split() for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")}
+        named = {i: {Path(word).name for word in words} & self.images for i, words in rows.items()}
+        drop = {i for i in rows if any(named.values()) and not named[i] & self.kept}
+        if len(rows) == self.n_frames and {len(words) for words in rows.values()} <= set(_PER_IMAGE):
+            drop = {*rows} - {[*rows][place] for place in self.places}
+        return bool(target.write_text("".join(x for i, x in enumerate(lines) if i not in drop), encoding="utf-8"))

@@ -58,8 +58,7 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
 def _numbers_in(path: Path) -> list[float]:
     """Numbers of a file: a NumPy array, lines that name fx, fy, cx and cy, or nothing but numbers."""
     if path.suffix == ".npy":
-        with parsing(path, _WAYS):
-            return read_array(path, _WAYS).ravel().tolist()
+        return read_array(path, _WAYS).ravel().tolist()
     named = dict(re.findall(r"\b(fx|fy|cx|cy)\b\W*?(-?[\d.]+)", read_text(path, _WAYS)))
     return [float(named[k]) for k in _PINHOLE] if len(named) == 4 else read_numbers(path, _WAYS)
 

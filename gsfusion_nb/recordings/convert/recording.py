@@ -226,8 +226,9 @@ def find_depth(folder: Path, stem: str) -> Path:
 
 def read_array(path: Path, what: str) -> np.ndarray:
     """Numbers of a NumPy file, which take no more memory than the file."""
-    open_regular(path, what).close()
-    return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+    with parsing(path, what):
+        open_regular(path, what).close()
+        return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
 
 
 def _numpy_array(path: Path) -> np.ndarray:

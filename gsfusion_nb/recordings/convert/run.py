@@ -243,15 +243,15 @@ class _Conversion:
         return self._rectifier(frame, model, images)
 
     def _model(self, frame: RecordedFrame, size: tuple[int, int]) -> CameraModel:
-        if self._options.intrinsics:
+        if self._options.intrinsics not in ("", "estimate"):
             return read_intrinsics(self._options.intrinsics, size, centre=self._options.pixel_centre)
         if frame.model is None:
             raise OptionNeeded(
                 f"{self._recording.name} does not contain the camera's intrinsics; give --intrinsics 'fx fy cx cy' "
                 "(pixels), the focal length alone, or a file with them",
                 option="intrinsics",
-                question=f"What is the focal length in pixels, or fx fy cx cy, of images of {size[0]}x{size[1]}? A "
-                "file will do, too",
+                question=f"What is the focal length of images of {size[0]}x{size[1]} in pixels? Or fx fy cx cy, or a "
+                "file with them. estimate: it is measured on the images",
             )
         return frame.model
 

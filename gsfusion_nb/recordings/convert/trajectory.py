@@ -1,9 +1,9 @@
 """The pose of every frame: as recorded, or from a file, one per frame or interpolated at the frame's time."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -26,7 +26,7 @@ class FramePoses:
 
     def __init__(self, recording: Recording, options: ConvertOptions):
         self.trajectory: Trajectory | None = None
-        self._per_frame: PosesPerFrame | None = None
+        self._per_frame: dict[Any, Tensor] | None = None
         self.none = options.poses == "none"
         self._offset_s = options.time_offset_s
         self._recording = recording
@@ -57,7 +57,8 @@ class FramePoses:
     def of(self, place: int, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
         """Pose of the frame at a place of the recording, or None and why there is none; float64, metres."""
         if self._per_frame is not None:
-            T, reason = self._per_frame.of(place, frame.source), "no pose of its name"
+            T, reason = self._per_frame.get(place), "no pose of its name"
+            T = self._per_frame.get(frame_key(Path(frame.source).stem)) if T is None else T
             T = T if T is None or self._T_body_cam is None else T @ self._T_body_cam
         elif self.trajectory is not None:
             if frame.time_s is None:
@@ -98,32 +99,16 @@ def frame_key(name: str) -> tuple[int, ...] | str:
     return tuple(int(n) for n in re.findall(r"\d+", name)) or name
 
 
-@dataclass(frozen=True, eq=False)
-class PosesPerFrame:
-    """Camera-to-world poses by the place of the frame, or by the name of its image."""
-
-    path: str
-    T_WC: Float[Tensor, "N 4 4"]
-    """float64"""
-    names: Sequence[str] = ()
-
-    def of(self, place: int, source: str) -> Float[Tensor, "4 4"] | None:
-        """The pose; None if no name fits."""
-        if not self.names:
-            return self.T_WC[place]
-        keys = [frame_key(Path(name).stem) for name in self.names]
-        key = frame_key(Path(source).stem)
-        return self.T_WC[keys.index(key)] if key in keys else None
-
-
+_ZEROS = {"0", "0.0", "0.000000000000000000e+00"}
 _PER_FRAME = {4: "4x4 numbers", 7: "tx ty tz qx qy qz qw", 12: "3x4 numbers", 16: "4x4 numbers"}
 
 
-def poses_per_frame(path: Path, n_frames: int) -> PosesPerFrame | None:
-    """Poses of a file that has one for each frame, or of a folder with a file for each; None where they have times.
+def poses_per_frame(path: Path, n_frames: int) -> dict[Any, Float[Tensor, "4 4"]] | None:
+    """Camera-to-world poses, float64, by the place of the frame or by ``frame_key`` of its image; None for a file with
+    times.
 
-    Rows hold 16 or 12 numbers of a matrix, "tx ty tz qx qy qz qw", or the name of the image and 16 numbers; a matrix
-    may take four rows.
+    Rows of a file hold 16 or 12 numbers of a matrix, "tx ty tz qx qy qz qw", or the name of the image and 16 numbers; a
+    matrix may take four rows. A folder has a file with a matrix for each image.
 
     Raises:
         SequenceError: another number of poses than of frames.
@@ -133,46 +118,35 @@ def poses_per_frame(path: Path, n_frames: int) -> PosesPerFrame | None:
     if path.is_dir():
         files = images_in(path, (".txt", ".npy"))
         files = [f for f in files if "pose" in f.name] or files
-        names, values = [f.name for f in files], [_numbers_of(f, what) for f in files]
-        if any(len(row) not in (12, 16) for row in values):
-            raise SequenceError(f"{path} must hold a file with a matrix of 4x4 or 3x4 numbers for each image")
+        names, rows = [f.name for f in files], [_numbers_of(f, what) for f in files]
     elif path.suffix == ".npy":
-        with parsing(path, what):
-            array = read_array(path, what)
-            values = array.reshape(len(array), -1).tolist()
+        array = read_array(path, what)
+        rows = array.reshape(len(array), -1).tolist()
     else:
         rows = [words for _, words in read_words(path, what)]
-        if all(len(row) == 17 and [float(w) for w in row[-4:]] == [0, 0, 0, 1] for row in rows):
+        if all(len(row) == 17 and {*row[-4:-1]} <= _ZEROS for row in rows):
             names, rows = [row[0] for row in rows], [row[1:] for row in rows]
         if {len(row) for row in rows} - set(_PER_FRAME):
             return None
-        with parsing(path, what):
-            values = [[float(w) for w in row] for row in rows]
     with parsing(path, what):
-        table = torch.tensor(values, dtype=torch.float64)
-        poses = matrices(table) if table.shape[1] == 7 else _whole(table.reshape(-1, *_shape(table)))
-    if not names and len(poses) != n_frames:
+        table = torch.tensor([[float(value) for value in row] for row in rows], dtype=torch.float64)
+        if table.shape[1] == 7:
+            poses = matrices(table)
+        else:
+            poses = table.reshape(-1, 3 if table.shape[1] == 12 else 4, 4)
+            poses = torch.cat([poses[:, :3], torch.eye(4).double()[3:].expand(len(poses), 1, 4)], 1)
+    if names:
+        return {frame_key(Path(name).stem): pose for name, pose in zip(names, poses, strict=True)}
+    if len(poses) != n_frames:
         raise SequenceError(
             f"{path} holds {len(poses)} poses; expected {n_frames}, one per frame; if images are missing, put the name "
             "of its image before each pose; --poses none tracks the camera later"
         )
-    return PosesPerFrame(str(path), poses, names)
+    return dict(enumerate(poses))
 
 
 def _numbers_of(path: Path, what: str) -> list[float]:
-    with parsing(path, what):
-        return read_array(path, what).ravel().tolist() if path.suffix == ".npy" else read_numbers(path, what)
-
-
-def _shape(table: Float[Tensor, "N C"]) -> tuple[int, int]:
-    return (3 if table.shape[1] == 12 else 4), 4
-
-
-def _whole(matrices_: Float[Tensor, "N R 4"]) -> Float[Tensor, "N 4 4"]:
-    """Matrices with their last row."""
-    whole = torch.eye(4, dtype=torch.float64).repeat(len(matrices_), 1, 1)
-    whole[:, : matrices_.shape[1]] = matrices_
-    return whole
+    return read_array(path, what).ravel().tolist() if path.suffix == ".npy" else read_numbers(path, what)
 
 
 _TUM = [0, 1, 2, 3, 4, 5, 6, 7]
