@@ -107,8 +107,8 @@ SAME_PLACE = 0.6
 """Smallest correlation of brightness where camera and model see the same surface. In the built-in room it is at least
 0.94 at the true pose, and mostly below 0.5 at the poses of other frames."""
 DOUBTFUL_PLACE = 0.8
-"""The same for a fit that is worse than usual. On a real recording with frames left out, such fits had 0.90 or more at
-the true pose, and 0.63 or less a metre from it."""
+"""The same for a fit that is worse than usual. Where frames of four recordings were left out, such fits had 0.87 or
+more near the true pose, and 0.63 or less a metre from it."""
 SAME_SURFACE_M = 0.05
 """Largest difference of depth at which camera and model see the same surface, metres."""
 ENOUGH_PIXELS = 100

@@ -47,7 +47,8 @@ def estimated_model(pairs: Sequence[tuple[Path, Path]], scale: float) -> tuple[C
     Raises:
         OptionNeeded: too few frames match, or the camera turned too little.
     """
-    starts = {(int(a), gap) for gap in _GAPS for a in np.linspace(0, len(pairs) - 1 - gap, _STARTS) if a >= 0}
+    gaps = [gap for gap in _GAPS if gap < len(pairs)]
+    starts = {(int(a), gap) for gap in gaps for a in np.linspace(0, len(pairs) - 1 - gap, _STARTS)}
     used = sorted({place for a, gap in starts for place in (a, a + gap)})
     corners = {place: _corners(*pairs[place], scale) for place in used}
     found = [_matched(corners[a][0], corners[a + gap][0]) for a, gap in sorted(starts)]
@@ -81,7 +82,7 @@ def _corners(colour: Path, depth: Path, scale: float) -> tuple[Features, tuple[i
         timestamp_s=0.0,
         rgb=torch.from_numpy(resize_colour(images.rgb, w, h)),
         depth_m=torch.from_numpy(cv2.resize(images.depth_m, (w, h), interpolation=cv2.INTER_NEAREST)),
-        camera=Camera(width=w, height=h, fx=w, fy=w, cx=w / 2, cy=h / 2),
+        camera=Camera(width=w, height=h, fx=float(w), fy=float(w), cx=w / 2, cy=h / 2),
         T_WC=torch.eye(4),
     )
     return extract_features(frame, count=2000, levels=8), (width, height)

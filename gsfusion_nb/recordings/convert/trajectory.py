@@ -118,7 +118,8 @@ def poses_per_frame(path: Path, n_frames: int) -> dict[Any, Float[Tensor, "4 4"]
     if path.is_dir():
         files = images_in(path, (".txt", ".npy"))
         files = [f for f in files if "pose" in f.name] or files
-        names, rows = [f.name for f in files], [_numbers_of(f, what) for f in files]
+        values = {f.name: _numbers_of(f, what) for f in files if f.stat().st_size}
+        names, rows = [*values], [*values.values()]
     elif path.suffix == ".npy":
         array = read_array(path, what)
         rows = array.reshape(len(array), -1).tolist()

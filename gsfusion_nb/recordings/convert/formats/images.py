@@ -18,6 +18,7 @@ from ....data.recorded.files import images_in, natural_order
 from ....data.recorded.images import read_rgb
 from ....data.recorded.times import Stamps, associate, judge_stamps
 from ....data.sequence import BadFrameError, SequenceError
+from ....files import is_file
 from ..camera import read_intrinsics
 from ..depth_unit import find_depth_unit, some_depths
 from ..focal_length import estimated_model
@@ -57,7 +58,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
 def _kinds(path: Path) -> dict[str, dict[str, list[Path]]]:
     """Kind of image -> pattern of names below the folder -> files; colour and depth."""
-    groups: defaultdict[str, list[Path]] = defaultdict(list)
+    groups = defaultdict(list)
     for level in ("*", "*/*", "*/*/*"):
         for file in sorted(path.glob(level), key=natural_order):
             name = file.relative_to(path).as_posix()
@@ -198,7 +199,12 @@ def _paired_by_name(path: Path, rgb: list[Path], depth: list[Path]) -> list[tupl
     return list(zip(rgb, depth, strict=True))
 
 
-_CALIBRATIONS = ("K.*", "intrinsic*", "calib*", "camera.*", "camera[_-]*", "cam_params.json")
+_OF_DEPTH = ("intrinsic/intrinsic_depth.*", "intrinsic_depth.*", "depth_intrinsic*")
+_CALIBRATIONS = (
+    "intrinsic/intrinsic_color.*", "intrinsic_color.*", "K.*", "intrinsic*", "calib*", "camera.*", "camera[_-]*",
+    "cam_params.json",
+)  # fmt: skip
+_CAMERA_SUFFIXES = (".txt", ".json", ".npy", ".yaml", ".yml")
 _POSES = ("groundtruth.*", "poses.*", "pose.*", "*poses.*", "traj*", "CameraTrajectory.txt", "pos.*", "pose", "poses")
 
 
@@ -215,15 +221,19 @@ def recording_of(path: Path, found: FrameFiles, options: ConvertOptions) -> Reco
     if not scale:
         scale, *unit = find_depth_unit(path, some_depths([depth for _, depth in found.pairs]))
     model, about = _model(path, found, scale, options)
+    of_depth, depth_model = _beside(path, _OF_DEPTH, _CAMERA_SUFFIXES), None
+    if of_depth:
+        height, width = read_depth_file(next((d for _, d in found.pairs if is_file(d)), found.pairs[0][1]), 1.0).shape
+        depth_model = read_intrinsics(of_depth, (width, height))
+        about.append(f"intrinsics of depth from {of_depth}")
     images = found.pairs[0][0].parent
     poses = _beside(path, _POSES, (".txt", ".csv", ".npy", "")) or str(images) * any(images.glob("*pose.txt"))
     times: list[float | None] = [*found.times_s] if found.times_s else [None] * len(found.pairs)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for time_s, (colour, depth) in zip(times, found.pairs, strict=True):
-            yield RecordedFrame(
-                source=str(colour), time_s=time_s, model=model, load=partial(load_pair, colour, depth, scale)
-            )
+            load = partial(load_pair, colour, depth, scale)
+            yield RecordedFrame(source=str(colour), time_s=time_s, model=model, depth_model=depth_model, load=load)
 
     return Recording(
         name=str(path),
@@ -241,7 +251,7 @@ def _model(
     path: Path, found: FrameFiles, scale: float, options: ConvertOptions
 ) -> tuple[CameraModel | None, list[str]]:
     """Camera of the options, of a calibration file or of the benchmark, if any, and a sentence that names it."""
-    file = options.intrinsics or _beside(path, _CALIBRATIONS, (".txt", ".json", ".npy", ".yaml", ".yml"))
+    file = options.intrinsics or _beside(path, _CALIBRATIONS, _CAMERA_SUFFIXES)
     if options.intrinsics == "estimate":
         model, sentence = estimated_model(found.pairs, scale)
         return model, [sentence]
