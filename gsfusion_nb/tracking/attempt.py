@@ -246,8 +246,9 @@ def why_too_far(last: Tensor, T_WC: Tensor, config: TrackingConfig, *, frames: i
     return ""
 
 
-def why_not_alike(frame: Frame, surface: Surface, least: float) -> str:
-    """The reason why the frame does not look like the model seen from its pose; ``least`` is the correlation needed."""
+def why_not_alike(frame: Frame, surface: Surface, *, doubtful: bool) -> str:
+    """The reason why the frame does not look like the model seen from its pose. ``doubtful``: its fit is unusual."""
+    least = DOUBTFUL_PLACE if doubtful else SAME_PLACE
     likeness = correlation(frame, surface)
     if likeness is None or likeness >= least:
         return ""

@@ -14,19 +14,7 @@ from ..checks import check_pose
 from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
-from .attempt import (
-    DOUBTFUL_PLACE,
-    SAME_PLACE,
-    Attempt,
-    Sight,
-    Start,
-    UsualFit,
-    attempt,
-    best_of,
-    why_no_fit,
-    why_not_alike,
-    why_too_far,
-)
+from .attempt import Attempt, Sight, Start, UsualFit, attempt, best_of, why_no_fit, why_not_alike, why_too_far
 from .icp import ExtraRows, IcpResult
 from .surface import Surface, SurfaceSource, hybrid_surface
 
@@ -180,9 +168,8 @@ class Tracker:
         problem = why_no_fit(result, strict=strict and found.start.extra is None)
         if not problem and not found.start.anywhere:
             problem = why_too_far(self._last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row)
-        least = SAME_PLACE if strict else DOUBTFUL_PLACE if self._usual.why_unusual(result) else None
-        if not problem and least is not None:
-            problem = why_not_alike(frame, surface(frame.camera, result.T_WC.float()), least)
+        if not problem and (strict or self._usual.why_unusual(result)):
+            problem = why_not_alike(frame, surface(frame.camera, result.T_WC.float()), doubtful=not strict)
         return problem
 
     def correct(self, T_change: Float[Tensor, "4 4"]) -> None:

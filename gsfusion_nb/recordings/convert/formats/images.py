@@ -144,7 +144,7 @@ def paired(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
     without = next((s for s in (depth, rgb) if s.stamps.times_s is None), None)
     if without is None:
         return _paired_by_time(path, rgb, depth)
-    pairs = _paired_by_name(path, rgb.files, depth.files)
+    pairs = paired_by_name(path, rgb.files, depth.files)
     alone = len(depth.files) - len(pairs)
     dropped = {"no colour image of its number": alone} if alone else {}
     return replace(without_times(pairs, without.source, without.stamps), dropped=dropped)
@@ -185,7 +185,7 @@ def _paired_by_time(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
     )
 
 
-def _paired_by_name(path: Path, rgb: list[Path], depth: list[Path]) -> list[tuple[Path, Path]]:
+def paired_by_name(path: Path, rgb: list[Path], depth: list[Path]) -> list[tuple[Path, Path]]:
     """Pairs in the order of the depth images: by the numbers in their names, else one by one."""
     colour_of = {frame_key(p.stem): p for p in rgb}
     pairs = [(colour_of[frame_key(p.stem)], p) for p in depth if frame_key(p.stem) in colour_of]

@@ -22,6 +22,7 @@ from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
 from ..camera import model_of_object
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair
+from .images import paired_by_name
 
 _COLOUR = ("color", "image", "rgb", "images")
 _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
@@ -41,7 +42,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     if colour_folder is None or not (path / "depth").is_dir():
         raise SequenceNotFoundError(f"{path} lacks color/ or depth/; expected both beside trajectory.log")
     colour, depth = images_in(colour_folder), images_in(path / "depth", DEPTH_SUFFIXES)
-    pairs = _pairs(path, colour, depth)
+    found = paired_by_name(path, colour, depth)
+    # Redwood's names continue with the time: 0000001-000000033369.png
+    numbers = [int(match[0]) for c, _ in found if (match := re.search(r"\d+", c.stem))]
+    numbers = [n - numbers[0] for n in numbers] if len({*numbers}) == len(found) else range(len(found))
+    pairs = dict(zip(numbers, found, strict=True))
     file = _trajectory(path)
     poses, model = ({}, None) if file is None else read_trajectory_file(file)
     if len(poses) == len(pairs) <= max(pairs) and max(poses) < len(pairs):  # one pose per image: counted alike
@@ -71,30 +76,6 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         has_poses=bool(poses),
         notes=tuple(notes),
     )
-
-
-def _pairs(path: Path, colour: list[Path], depth: list[Path]) -> dict[int, tuple[Path, Path]]:
-    """Colour and depth by frame number from 0: the number that their names begin with, less the first; else by order.
-
-    Raises:
-        SequenceError: an image of one kind without one of the other.
-    """
-    if len(colour) != len(depth):
-        raise SequenceError(f"{path} has {len(colour)} colour and {len(depth)} depth images; expected pairs")
-    of_colour, of_depth = (_numbers(files) for files in (colour, depth))
-    if of_colour is None or of_depth is None:
-        return dict(enumerate(zip(colour, depth, strict=True)))
-    alone = sorted(set(of_colour) ^ set(of_depth))
-    if alone:
-        raise SequenceError(f"{path} has only one image of number {alone[0]}; expected colour and depth of each number")
-    return {n - of_colour[0]: pair for n, pair in zip(of_colour, zip(colour, depth, strict=True), strict=True)}
-
-
-def _numbers(files: list[Path]) -> list[int] | None:
-    """The first number in each name, or None if a name has none or two have the same."""
-    # Redwood's names continue with the time: 0000001-000000033369.png
-    found = [int(match[0]) for file in files if (match := re.search(r"\d+", file.stem))]
-    return found if len(set(found)) == len(files) else None
 
 
 def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
