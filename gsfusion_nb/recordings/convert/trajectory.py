@@ -99,7 +99,8 @@ def frame_key(name: str) -> tuple[int, ...] | str:
     return tuple(int(n) for n in re.findall(r"\d+", name)) or name
 
 
-_ZEROS = {"0", "0.0", "0.000000000000000000e+00"}
+_LAST_ROW = re.compile(r"(-?0(\.0*)?(e[+-]00)? ){3}1(\.0*)?(e\+00)?")
+"""Of a matrix after the name of an image; rows of EuRoC have as many columns."""
 _PER_FRAME = {4: "4x4 numbers", 7: "tx ty tz qx qy qz qw", 12: "3x4 numbers", 16: "4x4 numbers"}
 
 
@@ -125,7 +126,7 @@ def poses_per_frame(path: Path, n_frames: int) -> dict[Any, Float[Tensor, "4 4"]
         rows = array.reshape(len(array), -1).tolist()
     else:
         rows = [words for _, words in read_words(path, what)]
-        if all(len(row) == 17 and {*row[-4:-1]} <= _ZEROS for row in rows):
+        if all(len(row) == 17 and _LAST_ROW.fullmatch(" ".join(row[-4:])) for row in rows):
             names, rows = [row[0] for row in rows], [row[1:] for row in rows]
         if {len(row) for row in rows} - set(_PER_FRAME):
             return None

@@ -66,8 +66,8 @@ def _kinds(path: Path) -> dict[str, dict[str, list[Path]]]:
                 groups[re.sub(r"\d+([._]\d+)*", "*", name)].append(file)
     groups = {n: files for n, files in groups.items() if len(files) > 1 and not _NEITHER.search(n.lower())}
     stored = {n for n, files in groups.items() if _is_stored_depth(files[0])}
-    depth = stored or {n for n in groups if _SAYS["depth"].search(n.lower())}
-    fits = {"depth": depth, "colour": groups.keys() - stored - depth}
+    named = {n for n in groups if _SAYS["depth"].search(n.lower())}
+    fits = {"depth": stored or named, "colour": groups.keys() - stored - named}
     return {kind: {n: groups[n] for n in _likely(names, _SAYS[kind])} for kind, names in fits.items()}
 
 
