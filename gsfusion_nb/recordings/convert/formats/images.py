@@ -12,6 +12,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+from jaxtyping import Float
+from torch import Tensor
+
 from ....data.lens import CameraModel
 from ....data.readers.tum import LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
 from ....data.recorded.files import images_in, natural_order
@@ -214,13 +217,27 @@ def _beside(path: Path, patterns: Sequence[str], suffixes: Sequence[str]) -> str
     return str(next(found, ""))
 
 
-def recording_of(path: Path, found: FrameFiles, options: ConvertOptions) -> Recording:
-    """The recording of pairs of images, with the camera, the poses and the unit of depth that the folder tells."""
+def recording_of(
+    path: Path,
+    found: FrameFiles,
+    options: ConvertOptions,
+    *,
+    model: CameraModel | None = None,
+    T_WC: Sequence[Float[Tensor, "4 4"] | None] = (),
+) -> Recording:
+    """The recording of pairs of images, with the camera, the poses and the unit of depth that the folder tells.
+
+    Args:
+        path, found, options: The folder, its frames, and how to read them.
+        model: The camera, if the folder tells none.
+        T_WC: Pose of each frame, None where it is unknown; by default those of a file in the folder.
+    """
     check_exr(found.pairs[0][1])
     scale, unit = options.depth_scale, ()
     if not scale:
         scale, *unit = find_depth_unit(path, some_depths([depth for _, depth in found.pairs]))
-    model, about = _model(path, found, scale, options)
+    of_folder, about = _model(path, found, scale, options)
+    model = of_folder or model
     of_depth, depth_model = _beside(path, _OF_DEPTH, _CAMERA_SUFFIXES), None
     if of_depth:
         height, width = read_depth_file(next((d for _, d in found.pairs if is_file(d)), found.pairs[0][1]), 1.0).shape
@@ -231,17 +248,19 @@ def recording_of(path: Path, found: FrameFiles, options: ConvertOptions) -> Reco
     times: list[float | None] = [*found.times_s] if found.times_s else [None] * len(found.pairs)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
-        for time_s, (colour, depth) in zip(times, found.pairs, strict=True):
+        for time_s, T, (colour, depth) in zip(times, T_WC or [None] * len(times), found.pairs, strict=True):
             load = partial(load_pair, colour, depth, scale)
-            yield RecordedFrame(source=str(colour), time_s=time_s, model=model, depth_model=depth_model, load=load)
+            yield RecordedFrame(
+                source=str(colour), time_s=time_s, model=model, depth_model=depth_model, T_WC=T, load=load
+            )
 
     return Recording(
         name=str(path),
         frames=recorded_frames,
         n_frames=len(found.pairs),
         depth_scale=scale,
-        has_poses=bool(poses),
-        poses_file=poses,
+        has_poses=bool(poses or T_WC),
+        poses_file="" if T_WC else poses,
         dropped=found.dropped,
         notes=(*about, *found.notes, *unit),
     )

@@ -6,8 +6,7 @@ centres at integers, depth in millimetres.
 """
 
 import re
-from collections.abc import Iterator
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,10 @@ from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
 from ..camera import model_of_object
-from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair
-from .images import paired_by_name
+from ..recording import DEPTH_SUFFIXES, ConvertOptions, Recording
+from .images import FrameFiles, paired_by_name, recording_of
 
 _COLOUR = ("color", "image", "rgb", "images")
-_INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
 _TRAJECTORIES = ("trajectory.log", "scene/trajectory.log", "scene/integrated.log", "*.log", "trajectory.json")
 
 LOOKS_FOR = "trajectory.log or .json, color/ and depth/"
@@ -54,28 +52,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     beyond = [i for i in poses if i > max(pairs)]
     if beyond:
         raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {len(pairs)} images, from 0")
-    intrinsics = next((path / n for n in _INTRINSICS if (path / n).is_file()), None)
-    notes = []
-    if intrinsics is not None and not options.intrinsics:
-        values = read_object(intrinsics, "the camera's intrinsics")
-        model = model_of_object(values, None, str(intrinsics), centre=0.0)
-        notes = [f"intrinsics from {intrinsics}, pixel centres at integers"]
-    scale = options.depth_scale or 1000.0
-
-    def recorded_frames() -> Iterator[RecordedFrame]:
-        for i, (c, d) in pairs.items():
-            yield RecordedFrame(
-                source=str(c), time_s=i / 30, model=model, T_WC=poses.get(i), load=partial(load_pair, c, d, scale)
-            )
-
-    return Recording(
-        name=str(path),
-        frames=recorded_frames,
-        n_frames=len(pairs),
-        depth_scale=scale,
-        has_poses=bool(poses),
-        notes=tuple(notes),
-    )
+    options = replace(options, depth_scale=options.depth_scale or 1000.0)
+    frames = FrameFiles([*pairs.values()], [i / 30 for i in pairs])
+    return recording_of(path, frames, options, model=model, T_WC=[poses.get(i) for i in pairs] if poses else ())
 
 
 def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
