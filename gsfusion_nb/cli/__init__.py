@@ -15,7 +15,7 @@ from ..config import DataConfig, gsfusion
 from ..config.values import parse_options
 from ..files import is_foreseen, unforeseen
 from .result import print_metrics, print_result
-from .settings import reader_options
+from .settings import recording_to_open
 
 _USAGE = Path(__file__).with_name("static").joinpath("usage.txt").read_text(encoding="utf-8")
 
@@ -140,9 +140,16 @@ def _main(arguments: list[str]) -> int:
 
 
 def _convert(arguments: list[str]) -> int:
-    from ..recordings.convert.run import convert_command
+    from .convert import convert_command
 
     print(convert_command(arguments))
+    return 0
+
+
+def _excerpt(arguments: list[str]) -> int:
+    from ..recordings.excerpt import excerpt_command
+
+    print(excerpt_command(arguments))
     return 0
 
 
@@ -150,7 +157,8 @@ def _check(arguments: list[str]) -> int:
     from ..recordings.checkup import check_recording
 
     options = parse_options(CheckOptions, prog="gsfusion-nb check", arguments=arguments)
-    report = check_recording(options.path, data=options.data, frames=options.frames, **reader_options(options))
+    path, reader = recording_to_open(options, options.path)
+    report = check_recording(path, data=options.data, frames=options.frames, **reader)
     print(report)
     page = report.write(options.out or f"check-{report.name}.html")
     print(f"Pictures and curves: {page}")
@@ -162,7 +170,8 @@ def _offset(arguments: list[str]) -> int:
     from ..recordings.checkup.pose_offset import estimate_pose_offset
 
     options = parse_options(OffsetOptions, prog="gsfusion-nb offset", arguments=arguments)
-    print(estimate_pose_offset(open_sequence(options.path, data=options.data, **reader_options(options))))
+    path, reader = recording_to_open(options, options.path)
+    print(estimate_pose_offset(open_sequence(path, data=options.data, **reader)))
     return 0
 
 
@@ -205,7 +214,8 @@ def _doctor(arguments: list[str]) -> int:
 _MODULES = ("map", "live", "export", "course", "grade")
 """Commands that are modules of this package, with a function ``run``."""
 _COMMANDS = {
-    "demo": _demo, "convert": _convert, "check": _check, "offset": _offset, "eval": _eval, "doctor": _doctor,
+    "demo": _demo, "convert": _convert, "excerpt": _excerpt, "check": _check, "offset": _offset, "eval": _eval,
+    "doctor": _doctor,
 }  # fmt: skip
 _COMPARING = {
     "lab": ("command", "main", "LabOptions"), "sweep": ("studies", "sweep", "SweepOptions"),

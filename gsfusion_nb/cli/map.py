@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from ..backends import use_backend
+from ..config import replace
 from ..seeding.rule_code import is_rule_file
 from ..work import MAP_MEMORY
 from .result import print_result
-from .settings import SettingsOptions, parse, reader_options
+from .settings import SettingsOptions, parse, recording_to_open
 
 if TYPE_CHECKING:
     from ..config import SystemConfig
@@ -86,14 +87,16 @@ def run(arguments: list[str]) -> int:
             return print_result(finished)
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
-        settings, reader = options.settings(), reader_options(options)
+        settings, (data, reader) = options.settings(), recording_to_open(options, options.data)
+        if data != options.data and reader.get("poses") is False:
+            settings = replace(settings, tracking__poses="tracked")
         if options.estimate_memory:
-            needed = memory_needed_gb(open_sequence(options.data, data=settings.data, **reader), settings)
+            needed = memory_needed_gb(open_sequence(data, data=settings.data, **reader), settings)
             parts = ", ".join(f"{gb:.2g} GB {what}" for what, gb in needed.items())
             print(f"about {sum(needed.values()):.2g} GB: {parts}; --memory-gb keeps the map in files")
             return 0
         finished = run_mapping(
-            options.data,
+            data,
             settings,
             folder=options.out or None,
             device=options.device,

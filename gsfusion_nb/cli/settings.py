@@ -104,6 +104,20 @@ def reader_options(options: Any) -> dict[str, Any]:
     return ({"format": options.format} if options.format != "auto" else {}) | named_values(options.reader)
 
 
+def recording_to_open(options: Any, source: str) -> tuple[str, dict[str, Any]]:
+    """The folder to open, and what ``--format`` and ``--reader`` say; another program's recording is converted first.
+
+    Of one without poses the reader is told so.
+    """
+    reader = reader_options(options)
+    if source == ROOM or reader.keys() & {"format", "camera"}:
+        return source, reader
+    from .convert import mappable
+
+    folder, no_poses = mappable(source)
+    return folder, {"poses": False} | reader if no_poses else reader
+
+
 def with_settings(options: type[O], config: SystemConfig) -> type[O]:
     """``options`` with the fields of ``config`` as options beside its own, such as ``--tsdf.voxel-size-m``."""
     flat = Annotated[type(config), tyro.conf.arg(name="")]

@@ -167,9 +167,12 @@ class Localiser:
             return None
         return self._remember(frame)
 
-    def _relocalise(self, frame: Frame) -> list[Float[Tensor, "4 4"]]:
-        """Possible poses of the frame by its appearance, the most likely first."""
-        return [] if self._database is None else self._database.relocalise(frame)
+    def _relocalise(self, frame: Frame) -> list[tuple[Float[Tensor, "4 4"], Any]]:
+        """Possible poses of the frame by its appearance, the most likely first, with the rows of their landmarks."""
+        if self._database is None:
+            return []
+        seen = [] if self._map is None else self._map.relocalise(self._features(frame))
+        return [*((s.T_WC, s.extra) for s in seen), *((T_WC, None) for T_WC in self._database.relocalise(frame))]
 
     def _see(self, frame: Frame) -> tuple[tracking.Sighting | None, Float[Tensor, "4 4"] | None]:
         """Landmarks that the frame sees, None if they are not wanted, or too few; and their pose, if the predicted one

@@ -24,7 +24,7 @@ from .run_folder import CHECKPOINTS, StepLog, packed, random_state
 log = logging.getLogger(__name__)
 
 MAX_BAD_FRAMES_IN_A_ROW = 20
-"""After more unusable frames in a row than this, the run stops."""
+"""After more unusable frames in a row than this, the run stops; a lost camera is looked for until the end."""
 READ_AHEAD = 4
 """Number of frames of a recording on disk that another thread decodes in advance."""
 _PLAIN = (
@@ -177,8 +177,12 @@ class MappingRun:
         """Record a frame that could not be used; returns whether to continue with the next."""
         self.bad_in_a_row += 1
         self._passed(None)
-        self._warn(f"skipped a frame: {error}")
         if self.bad_in_a_row <= MAX_BAD_FRAMES_IN_A_ROW:
+            self._warn(f"skipped a frame: {error}")
+            return True
+        if self.mapper.localiser.frames_lost:
+            if self.bad_in_a_row == MAX_BAD_FRAMES_IN_A_ROW + 1:
+                self._warn("tracking is lost; the camera is looked for in every frame until the recording ends")
             return True
         self.status = "stopped"
         self._warn(f"stopped after {self.bad_in_a_row} unusable frames in a row; everything mapped before is kept")

@@ -181,14 +181,34 @@ class LandmarkMap:
         n = len(self)
         if not n:
             return []
+        latest = range(max(0, n - LATEST), n)
+        return sorted({*latest, *self._covisible(n - 1, latest[0]), self.database.nearest_view(T_WC)})
+
+    def _covisible(self, row: int, before: int) -> list[int]:
+        """The keyframes, of the first ``before`` ones, that share most landmarks with the one in this row."""
         of_feature = self.landmarks.of_feature
         seen = np.zeros(len(self.landmarks) + 1, bool)  # the last entry stands for features without a landmark
-        seen[of_feature[-1]] = True
+        seen[of_feature[row]] = True
         seen[-1] = False
-        latest = list(range(max(0, n - LATEST), n))
-        shared = np.array([seen[f].sum() for f in of_feature[: latest[0]]], int)
-        best = [int(r) for r in np.argsort(-shared, kind="stable")[:COVISIBLE] if shared[r] >= LEAST_SHARED]
-        return sorted({*latest, *best, self.database.nearest_view(T_WC)})
+        shared = np.array([seen[f].sum() for f in of_feature[:before]], int)
+        return [int(r) for r in np.argsort(-shared, kind="stable")[:COVISIBLE] if shared[r] >= LEAST_SHARED]
+
+    def relocalise(self, features: Features, *, k: int = 5) -> list[Sighting]:
+        """Landmarks in a view, without any earlier pose: those that the ``k`` most similar keyframes and their
+        neighbours see.
+
+        A keyframe gives a pose by few matches, and landmarks of several keyframes confirm it or not.
+
+        Returns:
+            The sighting with most landmarks first; none if the place is unknown.
+        """
+        found = []
+        for row, _ in self.database.similar(features, k):
+            pose = self.database.compare(features, row)
+            if pose is not None:
+                local = self._seen_from(sorted({row, *self._covisible(row, len(self))}))
+                found.append(self.find(features, self.database.T_WC[row] @ pose.T_RQ, local, SEARCHES))
+        return sorted((seen for seen in found if seen is not None), key=lambda seen: -len(seen.pairs))
 
     def find(
         self,

@@ -45,8 +45,9 @@ class TrackingLostError(ValueError):
     """No pose of this frame fits the model; the message lists what was tried and why it failed."""
 
 
-Relocaliser = Callable[[Frame], list[Tensor]]
-"""Returns possible poses ``T_WC`` [4, 4] of a frame by its appearance, the most likely first."""
+Relocaliser = Callable[[Frame], list[tuple[Tensor, ExtraRows | None]]]
+"""Returns possible poses ``T_WC`` [4, 4] of a frame by its appearance, the most likely first, and the further rows for
+ICP of the landmarks that agree with it, if there are any."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,8 +109,8 @@ class Tracker:
         the poses of ``relocalise``. For each start the frame is aligned with the model as rendered from it, and the
         result is accepted if it fits.
 
-        A pose that fits, but much worse than those of the last frames, is accepted only if no other start leads to a
-        pose that fits better.
+        A pose that fits, but much worse than those of the last frames, is accepted only if the frame looks there like
+        the model, and no other start leads to a pose that fits better.
 
         Args:
             frame: Its ``T_WC`` is used only if it is the first.
@@ -133,7 +134,8 @@ class Tracker:
         fits: list[Attempt] = []
         mixed, doubt, first_try = self._target(surface), "", False
         for start in self._starts(frame, relocalise, fits, guess):
-            found = attempt(sight, surface, mixed, start, self.config)
+            with_rows = dataclasses.replace(sight, extra=start.extra or extra)
+            found = attempt(with_rows, surface, mixed, start, self.config)
             problem = self._problem(found, frame, surface, strict=bool(failures or fits) or self.lost_in_a_row > 0)
             if problem:
                 failures.append(f"from {start.name} {problem}")
@@ -163,11 +165,11 @@ class Tracker:
         """The reason to reject the pose that an attempt found, or "".  ``strict``: an earlier start has failed."""
         assert self._last is not None
         result = found.result
-        problem = why_no_fit(result, strict=strict)
+        problem = why_no_fit(result, strict=strict and found.start.extra is None)
         if not problem and not found.start.anywhere:
             problem = why_too_far(self._last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row)
-        if not problem and strict:
-            problem = why_not_alike(frame, surface(frame.camera, result.T_WC.float()))
+        if not problem and (strict or self._usual.why_unusual(result)):
+            problem = why_not_alike(frame, surface(frame.camera, result.T_WC.float()), doubtful=not strict)
         return problem
 
     def correct(self, T_change: Float[Tensor, "4 4"]) -> None:
@@ -235,8 +237,8 @@ class Tracker:
         if self.lost_in_a_row > 0 or self._before is not None:
             yield Start("the last pose", last)
         yield Start("the last pose with wide limits", last, wide=True)
-        for n, T_WC in enumerate([] if fits else relocalise(frame)):
-            yield Start(f"place {n + 1}", T_WC.double().cpu(), wide=True, anywhere=True)
+        for n, (T_WC, extra) in enumerate([] if fits else relocalise(frame)):
+            yield Start(f"place {n + 1}", T_WC.double().cpu(), wide=extra is None, anywhere=True, extra=extra)
 
     def _target(self, source: SurfaceSource) -> SurfaceSource:
         """What ICP aligns a frame with: the model, or the model mixed with the last frame, seen from that frame."""

@@ -119,7 +119,7 @@ def sequence():
 
 @pytest.fixture(scope="module")
 def views(sequence):
-    return {i: extract_features(sequence[i], count=1000, levels=8) for i in (*KEYFRAMES, 57, 300)}
+    return {i: extract_features(sequence[i], count=1000, levels=8) for i in (*KEYFRAMES, 51, 57, 300)}
 
 
 def mapped(sequence, views):
@@ -149,6 +149,17 @@ def test_a_view_is_seen_from_a_wrong_prediction(known, sequence, views, assert_p
     assert_pose(seen.T_WC, true, 0.02, 0.4)
     assert len(seen.pairs) == len(seen.rows) > 100
     assert set(seen.pairs[:, 1]) <= set(seen.expected)
+
+
+def test_landmarks_of_several_keyframes_confirm_what_one_cannot(known, views, sequence, assert_pose):
+    """With 80 corners one keyframe has too few matches to be believed."""
+    some = torch.randperm(len(views[51]), generator=torch.Generator().manual_seed(1))[:80]
+    few = views[51][some]
+    assert known.database.relocalise(few) == []
+    best, *_ = known.relocalise(few)
+    assert len(best.pairs) >= 20
+    assert_pose(best.T_WC, sequence.pose(51).double(), 0.05, 1.0)
+    assert known.relocalise(views[300]) == []
 
 
 def test_landmarks_count_only_against_a_pose_that_they_contradict(known, sequence, views):

@@ -14,13 +14,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import shown
+from ...files import is_file
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
 from ..recorded.files import given_name, natural_order, require
 from ..recorded.poses import checked_rows, interpolate_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import associate, judge_stamps, read_image_list
-from ..sequence import SequenceError
+from ..sequence import SequenceError, SequenceNotFoundError
 
 log = logging.getLogger(__name__)
 
@@ -136,8 +137,11 @@ def benchmark_camera(folder: Path) -> str:
 
 
 def _stream(path: Path) -> tuple[list[float], list[Path]]:
-    """Times and files of a list with lines "timestamp filename"."""
-    stamps, files = read_image_list(path)
+    """Times and files of a list with lines "timestamp filename"; those of a copy with only some of the images."""
+    listed = [(t, file) for t, file in zip(*read_image_list(path), strict=True) if is_file(file)]
+    if not listed:
+        raise SequenceNotFoundError(f"{path} names no image that is there; expected the images beside it")
+    stamps, files = [t for t, _ in listed], [file for _, file in listed]
     judged = judge_stamps(stamps, names=[natural_order(f) for f in files], unit="s")
     if judged.times_s is None:
         raise SequenceError(

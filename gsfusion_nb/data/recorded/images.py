@@ -8,6 +8,7 @@ import logging
 import re
 import struct
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,6 +20,9 @@ log = logging.getLogger(__name__)
 
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
+LOST_PRECISION = (
+    "precision was lost when this was written; export depth again as 16-bit PNG in millimetres, or in floating point"
+)
 _EXR_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
 """Left, top, right and bottom pixel of a part of an OpenEXR file, all inside ("OpenEXR File Layout")."""
 
@@ -70,10 +74,7 @@ def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np
     Raises:
         BadFrameError: the file is missing, truncated, not 16-bit single-channel, or holds no valid pixel.
     """
-    raw = decode_image(read_image_bytes(path, "depth"), cv2.IMREAD_UNCHANGED, path, "depth")
-    if raw.dtype != np.uint16 or raw.ndim != 2:
-        channels = 1 if raw.ndim == 2 else raw.shape[2]
-        raise BadFrameError(f"{path} must be a 16-bit depth image of one channel, got {raw.dtype} with {channels}")
+    raw = decode_depth(path, (np.uint16,))
     depth_m = raw.astype(np.float32)
     depth_m *= np.float32(1.0 / scale)
     for value in invalid:
@@ -84,6 +85,17 @@ def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np
             f"{path} holds no valid depth: every pixel is {' or '.join(map(str, sorted({0, *invalid})))}"
         )
     return depth_m
+
+
+def decode_depth(path: Path, types: tuple[Any, ...]) -> np.ndarray:
+    """Stored values of a depth image. Raises ``BadFrameError`` unless it has one channel and one of these types."""
+    raw = decode_image(read_image_bytes(path, "depth"), cv2.IMREAD_UNCHANGED, path, "depth")
+    if raw.dtype == np.uint8:
+        raise BadFrameError(f"{path} holds depth in 8 bits, so {LOST_PRECISION}")
+    if raw.ndim != 2 or raw.dtype not in types:
+        wanted = "16-bit" if types == (np.uint16,) else "16-bit or floating-point"
+        raise BadFrameError(f"{path} must be a {wanted} depth image of one channel, got {raw.dtype} {list(raw.shape)}")
+    return raw
 
 
 def read_image_bytes(path: Path, kind: str) -> bytes:

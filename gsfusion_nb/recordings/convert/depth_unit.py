@@ -11,14 +11,19 @@ from pathlib import Path
 import numpy as np
 
 from ...data.readers.tum import DEPTH_SCALE, benchmark_camera
+from ...data.recorded.images import LOST_PRECISION
 from ...data.sequence import BadFrameError, SequenceError
-from .recording import read_depth_file
+from .recording import OptionNeeded, read_depth_file
 
 USUAL = (1000.0, 5000.0)
 NEAREST_M, FARTHEST_MEDIAN_M, FARTHEST_M = 0.2, 5.0, 12.0
 """Depths of a hand-held camera: the first percentile is not nearer, the median and the 95th percentile not farther."""
 NEAREST_TUM_M = 0.35
 """5000 units a metre come from cameras of the Kinect's kind, which measure nothing nearer."""
+
+
+WHOLE_METRES = 64
+"""Whole numbers that are never larger are metres, or steps as coarse."""
 
 
 def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> tuple[float, str]:
@@ -29,7 +34,8 @@ def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> tuple[flo
         stored: Some depth images as stored, 0 = missing. [H, W] each
 
     Raises:
-        SequenceError: several units are plausible, or none; the message asks for the option.
+        SequenceError: several units are plausible, or none; the message asks for the option. Or the depths are so
+            coarse that no unit helps.
     """
     if benchmark_camera(folder):
         return DEPTH_SCALE, "depth was taken in the benchmark's 5000 units a metre"
@@ -37,13 +43,17 @@ def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> tuple[flo
     if not len(values):
         raise SequenceError(f"{folder}: the depth images tried hold no depth; give --depth-scale, units per metre")
     metric = (1.0,) if (np.mod(values[:10_000], 1) != 0).any() else ()
+    if not metric and values.max() <= WHOLE_METRES:
+        raise SequenceError(f"{folder} holds depths in whole metres up to {values.max():g}, so {LOST_PRECISION}")
     plausible = [s for s in (*USUAL, *metric) if plausible_range(s, values)]
     if len(plausible) != 1:
         middle = float(np.median(values))
         medians = ", ".join(f"{middle / s:.2f} m with {s:g}" for s in USUAL)
-        raise SequenceError(
+        raise OptionNeeded(
             f"{folder}: the unit of depth cannot be known from the files: the median depth is {medians}; give "
-            "--depth-scale, the stored value of one metre"
+            "--depth-scale, the stored value of one metre",
+            option="depth_scale",
+            question=f"Which stored depth is one metre? The median depth is {medians}.",
         )
     reason = "because that gives depths of a hand-held camera"
     return plausible[0], f"depth was taken as {plausible[0]:g} units a metre, {reason}"
@@ -59,11 +69,17 @@ def plausible_range(scale: float, values: np.ndarray) -> bool:
 
 
 def some_depths(files: abc.Sequence[Path], n: int = 8) -> list[np.ndarray]:
-    """A few depth images as stored, spread over the recording; damaged ones are left out."""
-    found = []
+    """A few depth images as stored, spread over the recording; damaged ones are left out.
+
+    Raises:
+        BadFrameError: none can be read; the reason of the first.
+    """
+    found, errors = [], []
     for i in sorted({int(i) for i in np.linspace(0, len(files) - 1, n)}):
         try:
             found.append(read_depth_file(files[i], 1.0))
-        except BadFrameError:
-            continue
+        except BadFrameError as e:
+            errors.append(e)
+    if not found and errors:
+        raise errors[0]
     return found

@@ -1,19 +1,19 @@
 """What a reader of a foreign format takes and returns: options, frames, and images that are decoded on request."""
 
+import importlib.util
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
 from ...config.values import Settings, within
 from ...data.lens import CameraModel
-from ...data.recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
+from ...data.recorded.images import check_image_size, decode_depth, decode_rgb, read_image_bytes
 from ...data.sequence import BadFrameError, SequenceError
 from ...files import is_file, open_regular, parsing, refusing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
@@ -33,13 +33,29 @@ class RosOptions:
     """World frame in the transform tree; its root by default."""
 
 
+class OptionNeeded(SequenceError):
+    """A recording does not say something that an option of the conversion can tell."""
+
+    def __init__(self, message: str, *, option: str, question: str, choices: tuple[str, ...] = ()):
+        """
+        Args:
+            message: Names the option, for those who cannot be asked.
+            option: The field of ``ConvertOptions``.
+            question: For a person at a terminal.
+            choices: The possible answers, if they are few.
+        """
+        super().__init__(message)
+        self.option, self.question, self.choices = option, question, choices
+
+
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions(Settings):
     """How a recording is read and written."""
 
     poses: str = ""
     """File with the camera's trajectory, if the recording has none; poses are interpolated at the frames' times: TUM
-    text, OKVIS2 or EuRoC csv, ORB-SLAM3 in seconds or nanoseconds. "none" writes no poses at all, for a camera that is
+    text, OKVIS2 or EuRoC csv, ORB-SLAM3 in seconds or nanoseconds. Or one pose per frame, as text or NumPy: 16 or 12
+    numbers of a camera-to-world matrix, or "tx ty tz qx qy qz qw". "none" writes no poses at all, for a camera that is
     to be tracked."""
     pose_time_unit: Literal["auto", "s", "ms", "us", "ns"] = "auto"
     """Unit of the trajectory's times; "auto" takes the one in which the time steps are plausible."""
@@ -56,12 +72,14 @@ class ConvertOptions(Settings):
     other formats."""
     depth: str = ""
     """Folder of the depth images if they are not part of the recording; same names as the colour images."""
+    colour: str = ""
+    """Folder of the colour images, where a folder of images holds several that may be meant."""
     depth_scale: float = within(0.0, 0)
-    """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; TUM-style folders:
-    inferred from names, depths and poses, or asked for."""
+    """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; folders of images:
+    inferred from names and depths, or asked for."""
     intrinsics: str = ""
-    """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", or a file with these
-    numbers, a matrix, or JSON."""
+    """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", the focal length alone, or a
+    file with these numbers, a matrix, or JSON. "estimate" measures the focal length of a folder of images."""
     pixel_centre: float = 0.0
     """Coordinate of the first pixel's centre in these intrinsics: 0 as in OpenCV and ROS, 0.5 as in COLMAP."""
     width: int = within(0, 0)
@@ -69,6 +87,10 @@ class ConvertOptions(Settings):
     more than 16 times as many pixels as the depth, 640 for the longer side."""
     height: int = within(0, 0)
     """Height of the images to write, pixels. 0: as for the width."""
+    start: int = within(0, 0)
+    """First frame to convert."""
+    stop: int = within(0, 0)
+    """Frame before which the conversion ends. 0: after the last one."""
     every: int = within(1, 1)
     """Convert every n-th frame."""
     confidence: int = within(1, 0, 2)
@@ -141,6 +163,8 @@ class Recording:
     """Stored depth value of one metre, which the written images keep."""
     depth_along_ray: bool = False
     has_poses: bool = True
+    poses_file: str = ""
+    """File with the poses, read as ``ConvertOptions.poses`` is."""
     up_to_scale: bool = False
     """Whether the poses have no unit of length."""
     measured_scale: Callable[[], tuple[float, str]] | None = None
@@ -169,12 +193,7 @@ def read_depth_file(path: Path, scale: float) -> np.ndarray:
         return metres(_numpy_array(path), scale)
     if path.suffix.lower() == ".exr":
         return metres(_exr_channel(path), scale)
-    raw = decode_image(read_image_bytes(path, "depth"), cv2.IMREAD_UNCHANGED, path, "depth")
-    if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32, np.float64):
-        raise BadFrameError(
-            f"{path} must be a depth image of one channel, 16-bit or float, got {raw.dtype} {list(raw.shape)}"
-        )
-    return metres(raw, scale)
+    return metres(decode_depth(path, (np.uint16, np.float32, np.float64)), scale)
 
 
 def metres(raw: np.ndarray, scale: float) -> np.ndarray:
@@ -205,22 +224,34 @@ def find_depth(folder: Path, stem: str) -> Path:
     return next((p for p in found if is_file(p)), folder / f"{stem}.png")
 
 
+def read_array(path: Path, what: str) -> np.ndarray:
+    """Numbers of a NumPy file, which take no more memory than the file."""
+    with parsing(path, what):
+        open_regular(path, what).close()
+        return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+
+
 def _numpy_array(path: Path) -> np.ndarray:
     with parsing(path, "a NumPy array of depth", BadFrameError):
-        open_regular(path, "a NumPy array of depth").close()
-        array = np.squeeze(np.array(np.load(path, mmap_mode="r", allow_pickle=False)))  # not larger than its file
+        array = np.squeeze(read_array(path, "a NumPy array of depth"))
     if array.ndim != 2 or array.dtype.kind not in "fu":
         raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
     return array
 
 
-def _exr_channel(path: Path) -> np.ndarray:
-    try:
-        import OpenEXR  # pyright: ignore[reportMissingImports]
-    except ImportError:
+def check_exr(path: Path) -> None:
+    """Raise ``SequenceError`` if this is an OpenEXR file and the package that reads it is missing."""
+    if path.suffix.lower() == ".exr" and importlib.util.find_spec("OpenEXR") is None:
         raise SequenceError(
-            f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install OpenEXR"
-        ) from None
+            f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install 'gsfusion-nb[exr]', or pip "
+            "install OpenEXR"
+        )
+
+
+def _exr_channel(path: Path) -> np.ndarray:
+    check_exr(path)
+    import OpenEXR  # pyright: ignore[reportMissingImports]
+
     check_image_size(read_image_bytes(path, "depth"), path, "depth")
     with parsing(path, "depth as OpenEXR", BadFrameError), OpenEXR.File(str(path)) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}

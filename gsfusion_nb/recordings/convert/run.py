@@ -1,4 +1,4 @@
-"""``gsfusion-nb convert``: a recording into the plain ``folder`` layout, one frame at a time."""
+"""Converting a recording into the plain ``folder`` layout, one frame at a time."""
 
 import dataclasses
 import itertools
@@ -6,15 +6,12 @@ import json
 import statistics
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import tyro
 
 from ...checks import check_name
-from ...config.values import parse_options
 from ...data.adjust.repair import resized_camera
 from ...data.lens import CameraModel
 from ...data.recorded.times import judge_stamps
@@ -24,8 +21,8 @@ from ...files import atomic_folder, parsing
 from ...types import Camera
 from ...work import ProgressDisplay
 from .camera import Rectifier, read_intrinsics
-from .formats import FORMATS, detect_format, known_formats
-from .recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
+from .formats import FORMATS, detect_format
+from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording, RgbdImages
 from .trajectory import FramePoses
 
 MILLIMETRES = 1000.0
@@ -107,8 +104,8 @@ def convert(
         conversion = _Conversion(recording, options, folder)
         with ProgressDisplay("converting", total=recording.n_frames, unit="frame", shown=progress) as display:
             frames = display.over(_read_on(recording, what))
-            for frame in itertools.islice(frames, 0, None, options.every):
-                conversion.add(frame)
+            for place, frame in itertools.islice(enumerate(frames), options.start, options.stop or None, options.every):
+                conversion.add(place, frame)
         return conversion.finish(name, out)
 
 
@@ -137,12 +134,12 @@ class _Conversion:
         """A note that images were made smaller."""
         (folder / "rgb").mkdir()
 
-    def add(self, frame: RecordedFrame) -> None:
-        """Write a frame, or leave it out and count why."""
+    def add(self, place: int, frame: RecordedFrame) -> None:
+        """Write the frame at a place of the recording, or leave it out and count why."""
         T_WC = None
         if not self._poses.none:
             try:
-                T_WC, reason = self._poses.of(frame)
+                T_WC, reason = self._poses.of(place, frame)
             except BadFrameError as e:
                 return self._drop("pose is not rigid", str(e))
             if T_WC is None:
@@ -246,12 +243,15 @@ class _Conversion:
         return self._rectifier(frame, model, images)
 
     def _model(self, frame: RecordedFrame, size: tuple[int, int]) -> CameraModel:
-        if self._options.intrinsics:
+        if self._options.intrinsics not in ("", "estimate"):
             return read_intrinsics(self._options.intrinsics, size, centre=self._options.pixel_centre)
         if frame.model is None:
-            raise SequenceError(
+            raise OptionNeeded(
                 f"{self._recording.name} does not contain the camera's intrinsics; give --intrinsics 'fx fy cx cy' "
-                "(pixels), or a file with them"
+                "(pixels), the focal length alone, or a file with them",
+                option="intrinsics",
+                question=f"What is the focal length of images of {size[0]}x{size[1]} in pixels? Or fx fy cx cy, or a "
+                "file with them. estimate: it is measured on the images",
             )
         return frame.model
 
@@ -263,28 +263,3 @@ class _Conversion:
         first, last = float(trajectory.stamps_s[0]), float(trajectory.stamps_s[-1])
         frame = next(iter(self._recording.frames()))
         return f"; the trajectory spans {first:.3f} to {last:.3f} s, the first frame is at {frame.time_s} s"
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConvertCommand:
-    """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
-    are written one by one, and OUT appears when all is done."""
-
-    words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")]
-    """FORMAT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if omitted.
-    SOURCE: the file or folder of the recording. OUT: a new folder."""
-    options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
-
-
-def convert_command(arguments: list[str]) -> ConvertReport:
-    """Convert as the arguments of ``gsfusion-nb convert`` say.
-
-    Raises:
-        ValueError: other arguments than [FORMAT] SOURCE OUT.
-    """
-    command = parse_options(ConvertCommand, prog="gsfusion-nb convert", arguments=arguments)
-    if not 2 <= len(command.words) <= 3:
-        listed = "\n".join(f"  {name:<10} {looks_for}" for name, looks_for in known_formats().items())
-        raise ValueError(f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}")
-    *format, source, out = command.words
-    return convert(source, out, format=format[0] if format else "auto", options=command.options, progress=True)

@@ -1,55 +1,70 @@
-"""The pose of every frame: as recorded, or from a separate trajectory file, interpolated at the frame's time."""
+"""The pose of every frame: as recorded, or from a file, one per frame or interpolated at the frame's time."""
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices
+from ...data.recorded.files import images_in
+from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices, read_words
 from ...data.recorded.times import PER_SECOND
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
 from ...files import parsing, read_text, refusing
 from ...geometry import se3
-from .recording import ConvertOptions, RecordedFrame, Recording
+from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording, read_array
 
 
 class FramePoses:
-    """Pose of each frame: the recorded one, or one from a separate trajectory at its time; scaled to metres and
+    """Pose of each frame: the recorded one, or one from a file, by its place or at its time; scaled to metres and
     checked."""
 
     def __init__(self, recording: Recording, options: ConvertOptions):
         self.trajectory: Trajectory | None = None
+        self._per_frame: dict[Any, Tensor] | None = None
         self.none = options.poses == "none"
         self._offset_s = options.time_offset_s
         self._recording = recording
         self.notes: list[str] = []
-        if options.poses and not self.none:
+        file = "" if self.none else options.poses or recording.poses_file
+        if file:
+            self._T_body_cam = camera_in_body(options.T_cam_body, options.T_body_cam)
+            self._per_frame = poses_per_frame(Path(file), recording.n_frames)
+        if file and self._per_frame is not None:
+            self.notes.append(f"{file}: one pose per frame, taken as camera-to-world, OpenCV axes, metres")
+        elif file:
             self.trajectory = read_trajectory(
-                Path(options.poses),
+                Path(file),
                 time_unit=options.pose_time_unit,
                 max_gap_s=options.max_gap_s,
-                T_body_cam=camera_in_body(options.T_cam_body, options.T_body_cam),
+                T_body_cam=self._T_body_cam,
             )
             self.notes += self.trajectory.notes
         elif not self.none and not recording.has_poses:
-            raise SequenceError(
+            raise OptionNeeded(
                 f"{recording.name} holds no poses; give a trajectory with --poses FILE (TUM, OKVIS2, ORB-SLAM3, "
-                "EuRoC), or --poses none to track the camera later"
+                "EuRoC, or one pose per frame), or --poses none to track the camera later",
+                option="poses",
+                question="Which file holds the poses? none: they are estimated by tracking the camera",
             )
         self._scale = 1.0 if self.none else self._metres_per_unit(options)
 
-    def of(self, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
-        """Pose, or None and the reason why there is none; float64, metres."""
-        if self.trajectory is not None:
+    def of(self, place: int, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
+        """Pose of the frame at a place of the recording, or None and why there is none; float64, metres."""
+        if self._per_frame is not None:
+            T, reason = self._per_frame.get(place), "no pose of its name"
+            T = self._per_frame.get(frame_key(Path(frame.source).stem)) if T is None else T
+            T = T if T is None or self._T_body_cam is None else T @ self._T_body_cam
+        elif self.trajectory is not None:
             if frame.time_s is None:
                 raise SequenceError(
-                    f"{frame.source} has no time, which --poses needs; expected a format with times, or image names "
-                    "that are times"
+                    f"{self.trajectory.path} gives poses by time, but {frame.source} has none; expected image names or "
+                    "lists with times; --poses none tracks the camera later"
                 )
             T = self.trajectory.pose_at(frame.time_s + self._offset_s)
             reason = "the trajectory has no pose around its time"
@@ -77,6 +92,63 @@ class FramePoses:
             f"these poses have no unit of length; one unit is taken as {scale:.6g} m ({sentence}; --scale)"
         )
         return scale
+
+
+def frame_key(name: str) -> tuple[int, ...] | str:
+    """What the names of one frame's files have in common: the numbers in them, or the name where there are none."""
+    return tuple(int(n) for n in re.findall(r"\d+", name)) or name
+
+
+_LAST_ROW = re.compile(r"(-?0(\.0*)?(e[+-]00)? ){3}1(\.0*)?(e\+00)?")
+"""Of a matrix after the name of an image; rows of EuRoC have as many columns."""
+_PER_FRAME = {4: "4x4 numbers", 7: "tx ty tz qx qy qz qw", 12: "3x4 numbers", 16: "4x4 numbers"}
+
+
+def poses_per_frame(path: Path, n_frames: int) -> dict[Any, Float[Tensor, "4 4"]] | None:
+    """Camera-to-world poses, float64, by the place of the frame or by ``frame_key`` of its image; None for a file with
+    times.
+
+    Rows of a file hold 16 or 12 numbers of a matrix, "tx ty tz qx qy qz qw", or the name of the image and 16 numbers; a
+    matrix may take four rows. A folder has a file with a matrix for each image.
+
+    Raises:
+        SequenceError: another number of poses than of frames.
+    """
+    what = "one pose per frame: " + ", ".join(_PER_FRAME.values())
+    names: list[str] = []
+    if path.is_dir():
+        files = images_in(path, (".txt", ".npy"))
+        files = [f for f in files if "pose" in f.name] or files
+        values = {f.name: _numbers_of(f, what) for f in files if f.stat().st_size}
+        names, rows = [*values], [*values.values()]
+    elif path.suffix == ".npy":
+        array = read_array(path, what)
+        rows = array.reshape(len(array), -1).tolist()
+    else:
+        rows = [words for _, words in read_words(path, what)]
+        if all(len(row) == 17 and _LAST_ROW.fullmatch(" ".join(row[-4:])) for row in rows):
+            names, rows = [row[0] for row in rows], [row[1:] for row in rows]
+        if {len(row) for row in rows} - set(_PER_FRAME):
+            return None
+    with parsing(path, what):
+        table = torch.tensor([[float(value) for value in row] for row in rows], dtype=torch.float64)
+        if table.shape[1] == 7:
+            poses = matrices(table)
+        else:
+            poses = table.reshape(-1, 3 if table.shape[1] == 12 else 4, 4)
+            poses = torch.cat([poses[:, :3], torch.eye(4).double()[3:].expand(len(poses), 1, 4)], 1)
+    if names:
+        return {frame_key(Path(name).stem): pose for name, pose in zip(names, poses, strict=True)}
+    if len(poses) != n_frames:
+        raise SequenceError(
+            f"{path} holds {len(poses)} poses; expected {n_frames}, one per frame; if images are missing, put the name "
+            "of its image before each pose; --poses none tracks the camera later"
+        )
+    return dict(enumerate(poses))
+
+
+def _numbers_of(path: Path, what: str) -> list[float]:
+    return read_array(path, what).ravel().tolist() if path.suffix == ".npy" else read_numbers(path, what)
 
 
 _TUM = [0, 1, 2, 3, 4, 5, 6, 7]

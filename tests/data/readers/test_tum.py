@@ -96,6 +96,20 @@ def test_tracking_does_not_know_how_the_camera_moved_between_picture_and_depth()
     assert GSFusionConfig().data.repair.depth_pose == "own"
 
 
+def test_a_copy_with_only_some_of_the_images(tmp_path, box):
+    root = write(tmp_path / "scan", box)
+    whole = tum(root, camera=box.camera)
+    for file in (*whole.rgb_files[::2], *whole.depth_files[:1]):
+        file.unlink()
+    part = tum(root, camera=box.camera)
+    assert part.timestamps_s == whole.timestamps_s[1::2]
+    assert part.rgb_files == whole.rgb_files[1::2]
+    for file in (root / "rgb").iterdir():
+        file.unlink()
+    with pytest.raises(SequenceError, match=r"rgb\.txt names no image that is there"):
+        tum(root, camera=box.camera)
+
+
 @pytest.mark.parametrize(
     ("folder", "expected"),
     [

@@ -36,6 +36,11 @@ def test_what_nothing_decides_is_asked_for(folder):
     assert find_depth_unit(folder("rgbd_dataset_freiburg1_x"), unclear)[0] == 5000
 
 
+def test_whole_metres_have_lost_their_precision(folder):
+    with pytest.raises(SequenceError, match=r"whole metres up to 4, so precision was lost .* export depth again"):
+        find_depth_unit(folder("scan"), depths(0.6, 4.0, 1))
+
+
 def test_no_plausible_unit_is_asked_for(folder):
     with pytest.raises(SequenceError, match="give --depth-scale"):
         find_depth_unit(folder("scan"), depths(0.02, 0.1, 1000))

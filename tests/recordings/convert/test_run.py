@@ -34,10 +34,10 @@ def scan(tmp_path, takes):
 def test_the_result_appears_whole_or_not_at_all(tmp_path, takes, scan, monkeypatch):
     add = _Conversion.add
 
-    def stop_after_two(self, frame):
+    def stop_after_two(self, place, frame):
         if len(self._times) == 2:
             raise KeyboardInterrupt
-        add(self, frame)
+        add(self, place, frame)
 
     before = sorted(tmp_path.iterdir())
     with monkeypatch.context() as patch:

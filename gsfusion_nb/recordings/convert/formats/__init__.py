@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+from ....data.open import detect_layout
+from ....data.readers.tum import benchmark_camera
 from ....data.sequence import SequenceError, SequenceNotFoundError
-from . import colmap, icl_nuim, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
+from ....files import read_object
+from . import colmap, icl_nuim, images, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
 
 FORMATS = {
     "ros": ros_bag, "scannet": scannet, "record3d": record3d, "nerfstudio": nerfstudio, "icl_nuim": icl_nuim,
-    "colmap": colmap, "open3d": open3d_log, "tum": tum,
+    "colmap": colmap, "open3d": open3d_log, "tum": tum, "images": images,
 }  # fmt: skip
 """Formats by name, in the order in which they are tried. The module of a format has ``recognise(path)``,
 ``read(path, options)``, and ``LOOKS_FOR``, which says what identifies it."""
@@ -16,6 +19,21 @@ FORMATS = {
 def known_formats() -> dict[str, str]:
     """Names that ``convert(format=...)`` takes besides "auto", each with what it looks for."""
     return {name: module.LOOKS_FOR for name, module in FORMATS.items()}
+
+
+def readable_layout(path: Path) -> str:
+    """Layout in which a folder can be opened as it is; empty where it must be converted first.
+
+    That is so for lists of images as the TUM benchmark has them, but of another camera, and for a plain folder without
+    the unit of its depth.
+    """
+    try:
+        layout = detect_layout(path) if path.is_dir() else ""
+    except SequenceError:
+        return ""
+    if layout == "folder" and "depth_scale" not in read_object(path / "intrinsics.json", "the camera's intrinsics"):
+        return ""
+    return "" if layout == "tum" and not benchmark_camera(path) else layout
 
 
 def detect_format(path: Path) -> str:

@@ -30,9 +30,13 @@ _MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
     5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4),
     9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5), 14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }  # fmt: skip
-_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
-_KNOWN = (*_ONE_FOCAL, "PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV")
+_ONE_FOCAL = (
+    "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE",
+)  # fmt: skip
+_KNOWN = (*_ONE_FOCAL, "PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FISHEYE", "FULL_OPENCV")
 _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 _LONGEST_LINE = 100_000_000
 """Bytes; the points of one image are one line."""
@@ -185,27 +189,28 @@ def metres_per_unit(
     return ratios
 
 
-_MODEL_PLACES = ("", "sparse/0", "sparse", "0")
+_MODEL_PLACES = ("", "sparse/*", "sparse", "[0-9]*")
 _DEPTH_PLACES = ("depth", "depths", "depth_maps")
 _MEASURED_IMAGES = 20
 _FEWEST_RATIOS = 30
 
-LOOKS_FOR = "cameras and images, .bin or .txt, also in sparse/0"
+LOOKS_FOR = "cameras and images, .bin or .txt, also in sparse/0, sparse/1 ..."
 
 
 def recognise(path: Path) -> bool:
     """A model in one of the usual places."""
-    return _model_folder(path) is not None
+    return bool(_model_folders(path))
 
 
 def read(path: Path, options: ConvertOptions) -> Recording:
     """Read a reconstruction and its depth images (module docstring)."""
-    folder = _model_folder(path)
-    if folder is None:
+    models = {folder: read_model(folder) for folder in _model_folders(path)}
+    if not models:
         raise SequenceNotFoundError(
             f"{path} holds no COLMAP model; expected cameras and images (.bin or .txt) in it or in sparse/0"
         )
-    cameras, images = read_model(folder)
+    folder, (cameras, images) = max(models.items(), key=lambda model: len(model[1][1]))
+    others = ", ".join(f"{other} has {len(model[1])}" for other, model in models.items() if other != folder)
     images = sorted(images, key=lambda i: natural_order(Path(i.name)))
     colour = _beside(path, folder, ("images",), "colour images")
     depth = Path(options.depth) if options.depth else _beside(path, folder, _DEPTH_PLACES, "depth images (--depth)")
@@ -251,13 +256,18 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         depth_scale=scale,
         up_to_scale=True,
         measured_scale=measured,
-        notes=(f"COLMAP model {folder}; depth {depth} read as {scale:g} per metre, registered to the colour images",),
+        notes=(
+            f"COLMAP model {folder}; depth {depth} read as {scale:g} per metre, registered to the colour images",
+            *([f"{folder} is the largest model, of {len(images)} images; {others}: give its folder"] if others else []),
+        ),
     )
 
 
-def _model_folder(path: Path) -> Path | None:
-    names = ("cameras.bin", "cameras.txt")
-    return next((path / p for p in _MODEL_PLACES if any((path / p / n).is_file() for n in names)), None)
+def _model_folders(path: Path) -> list[Path]:
+    """The models in the first of the usual places that has any: COLMAP writes one for each part that it can connect."""
+    at = (sorted(path.glob(f"{place}/cameras.*".lstrip("/")), key=str) for place in _MODEL_PLACES)
+    found = ([file.parent for file in files if file.suffix in (".bin", ".txt")] for files in at)
+    return list(dict.fromkeys(next(filter(None, found), [])))
 
 
 def _beside(path: Path, model: Path, names: tuple[str, ...], what: str) -> Path:

@@ -6,8 +6,7 @@ centres at integers, depth in millimetres.
 """
 
 import re
-from collections.abc import Iterator
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +20,10 @@ from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
 from ..camera import model_of_object
-from ..recording import DEPTH_SUFFIXES, ConvertOptions, RecordedFrame, Recording, load_pair
+from ..recording import DEPTH_SUFFIXES, ConvertOptions, Recording
+from .images import FrameFiles, paired_by_name, recording_of
 
 _COLOUR = ("color", "image", "rgb", "images")
-_INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
 _TRAJECTORIES = ("trajectory.log", "scene/trajectory.log", "scene/integrated.log", "*.log", "trajectory.json")
 
 LOOKS_FOR = "trajectory.log or .json, color/ and depth/"
@@ -41,7 +40,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     if colour_folder is None or not (path / "depth").is_dir():
         raise SequenceNotFoundError(f"{path} lacks color/ or depth/; expected both beside trajectory.log")
     colour, depth = images_in(colour_folder), images_in(path / "depth", DEPTH_SUFFIXES)
-    pairs = _pairs(path, colour, depth)
+    found = paired_by_name(path, colour, depth)
+    # Redwood's names continue with the time: 0000001-000000033369.png
+    numbers = [int(match[0]) for c, _ in found if (match := re.search(r"\d+", c.stem))]
+    numbers = [n - numbers[0] for n in numbers] if len({*numbers}) == len(found) else range(len(found))
+    pairs = dict(zip(numbers, found, strict=True))
     file = _trajectory(path)
     poses, model = ({}, None) if file is None else read_trajectory_file(file)
     if len(poses) == len(pairs) <= max(pairs) and max(poses) < len(pairs):  # one pose per image: counted alike
@@ -49,52 +52,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     beyond = [i for i in poses if i > max(pairs)]
     if beyond:
         raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {len(pairs)} images, from 0")
-    intrinsics = next((path / n for n in _INTRINSICS if (path / n).is_file()), None)
-    notes = []
-    if intrinsics is not None and not options.intrinsics:
-        values = read_object(intrinsics, "the camera's intrinsics")
-        model = model_of_object(values, None, str(intrinsics), centre=0.0)
-        notes = [f"intrinsics from {intrinsics}, pixel centres at integers"]
-    scale = options.depth_scale or 1000.0
-
-    def recorded_frames() -> Iterator[RecordedFrame]:
-        for i, (c, d) in pairs.items():
-            yield RecordedFrame(
-                source=str(c), time_s=i / 30, model=model, T_WC=poses.get(i), load=partial(load_pair, c, d, scale)
-            )
-
-    return Recording(
-        name=str(path),
-        frames=recorded_frames,
-        n_frames=len(pairs),
-        depth_scale=scale,
-        has_poses=bool(poses),
-        notes=tuple(notes),
-    )
-
-
-def _pairs(path: Path, colour: list[Path], depth: list[Path]) -> dict[int, tuple[Path, Path]]:
-    """Colour and depth by frame number from 0: the number that their names begin with, less the first; else by order.
-
-    Raises:
-        SequenceError: an image of one kind without one of the other.
-    """
-    if len(colour) != len(depth):
-        raise SequenceError(f"{path} has {len(colour)} colour and {len(depth)} depth images; expected pairs")
-    of_colour, of_depth = (_numbers(files) for files in (colour, depth))
-    if of_colour is None or of_depth is None:
-        return dict(enumerate(zip(colour, depth, strict=True)))
-    alone = sorted(set(of_colour) ^ set(of_depth))
-    if alone:
-        raise SequenceError(f"{path} has only one image of number {alone[0]}; expected colour and depth of each number")
-    return {n - of_colour[0]: pair for n, pair in zip(of_colour, zip(colour, depth, strict=True), strict=True)}
-
-
-def _numbers(files: list[Path]) -> list[int] | None:
-    """The first number in each name, or None if a name has none or two have the same."""
-    # Redwood's names continue with the time: 0000001-000000033369.png
-    found = [int(match[0]) for file in files if (match := re.search(r"\d+", file.stem))]
-    return found if len(set(found)) == len(files) else None
+    options = replace(options, depth_scale=options.depth_scale or 1000.0)
+    frames = FrameFiles([*pairs.values()], [i / 30 for i in pairs])
+    return recording_of(path, frames, options, model=model, T_WC=[poses.get(i) for i in pairs] if poses else ())
 
 
 def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:

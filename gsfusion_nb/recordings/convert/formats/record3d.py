@@ -26,7 +26,16 @@ from ....data.recorded.poses import GL_TO_CV, matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
 from ..camera import model_of
-from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, metres, with_colour
+from ..recording import (
+    ConvertOptions,
+    RecordedFrame,
+    Recording,
+    RgbdImages,
+    check_exr,
+    load_pair,
+    metres,
+    with_colour,
+)  # fmt: skip
 
 _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
 """Heights and widths of LiDAR and TrueDepth images, for files without this information."""
@@ -61,6 +70,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     pattern = "rgb/" if exported else "rgbd/"
     found = (re.fullmatch(pattern + r"(\d{1,9})\.jpg", n) for n in names)
     numbers = sorted({int(match[1]) for match in found if match})
+    if exported and numbers:
+        check_exr(path / f"depth/{numbers[0]}.exr")
     poses = _poses(metadata, 1 + max(numbers, default=-1), path)
 
     def recorded_frames() -> Iterator[RecordedFrame]:

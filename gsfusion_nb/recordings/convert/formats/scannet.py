@@ -7,7 +7,7 @@ its own scale); depth images are smaller than colour and have their own intrinsi
 import math
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
@@ -19,26 +19,15 @@ from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import images_in
-from ....data.recorded.images import read_rgb
 from ....data.recorded.poses import image_number
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import inflate, open_regular, read_exactly
 from ....geometry import se3
 from ..camera import model_of_matrix
-from ..recording import (
-    ConvertOptions,
-    RecordedFrame,
-    Recording,
-    RgbdImages,
-    find_depth,
-    load_pair,
-    metres,
-    read_depth_file,
-    with_colour,
-)
-from ..trajectory import read_numbers
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, find_depth, metres, with_colour
+from .images import FrameFiles, recording_of
 
-LOOKS_FOR = "a .sens file, or a folder with color/, depth/ and pose/"
+LOOKS_FOR = "a .sens file, or a folder with color/, depth/, pose/ and intrinsic/"
 
 
 def recognise(path: Path) -> bool:
@@ -54,30 +43,12 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         if sens is None:
             raise SequenceNotFoundError(f"{path} holds neither a .sens file nor color/, depth/ and pose/")
         return read_sens(sens, options)
-    colour = images_in(root / "color")
-    scale = options.depth_scale or 1000.0
-    models = {kind: _model(root, kind, colour) for kind in ("color", "depth")}
-
-    def recorded_frames() -> Iterator[RecordedFrame]:
-        for i, file in enumerate(colour):
-            number = image_number(file)  # a missing image must not shift the times of the later ones
-            depth = find_depth(root / "depth", file.stem)
-            yield RecordedFrame(
-                source=str(file),
-                time_s=(i if number is None else number) / FRAMES_PER_S,
-                model=models["color"],
-                depth_model=models["depth"],
-                T_WC=_pose(root / "pose" / f"{file.stem}.txt"),
-                load=partial(load_pair, file, depth, scale),
-            )
-
-    return Recording(
-        name=str(path),
-        frames=recorded_frames,
-        n_frames=len(colour),
-        depth_scale=scale,
-        notes=(f"depth read as {scale:g} per metre; times are frame numbers at {FRAMES_PER_S:g} Hz",),
-    )
+    pairs = [(colour, find_depth(root / "depth", colour.stem)) for colour in images_in(root / "color")]
+    numbers = [image_number(colour) for colour, _ in pairs]  # a missing image must not shift the later times
+    times_s = [(place if n is None else n) / FRAMES_PER_S for place, n in enumerate(numbers)]
+    options = replace(options, depth_scale=options.depth_scale or 1000.0)
+    note = f"depth read as {options.depth_scale:g} per metre; times are frame numbers at {FRAMES_PER_S:g} Hz"
+    return recording_of(root, FrameFiles(pairs, times_s, notes=(note,)), options)
 
 
 def _sens_in(path: Path) -> Path | None:
@@ -87,31 +58,8 @@ def _sens_in(path: Path) -> Path | None:
 def _root(path: Path) -> Path | None:
     names = ("color", "depth", "pose")
     places = (path, path / "frames", path / "exported") if path.is_dir() else ()
-    return next((p for p in places if all((p / n).is_dir() for n in names)), None)
-
-
-def _model(root: Path, kind: str, colour: list[Path]) -> CameraModel:
-    file = next((p for p in (root / "intrinsic", root) if (p / f"intrinsic_{kind}.txt").is_file()), None)
-    if file is None:
-        raise SequenceNotFoundError(f"{root} lacks intrinsic/intrinsic_{kind}.txt; expected a 4x4 matrix of the camera")
-    file = file / f"intrinsic_{kind}.txt"
-    depths = (find_depth(root / "depth", p.stem) for p in colour)
-    first = colour[0] if kind == "color" else next((p for p in depths if p.is_file()), None)
-    if first is None:
-        raise SequenceError(f"{root / 'depth'} holds no depth image of any colour image; expected the same names")
-    height, width = (read_rgb(first) if kind == "color" else read_depth_file(first, 1000.0)).shape[:2]
-    return model_of_matrix(read_numbers(file, "a 4x4 matrix"), (width, height), str(file), centre=0.0)
-
-
-def _pose(file: Path) -> Float[Tensor, "4 4"]:
-    """A pose; NaN where the file is missing, empty or says -inf."""
-    try:
-        values = read_numbers(file, "a 4x4 matrix")
-    except SequenceNotFoundError:
-        values = []
-    if len(values) != 16:
-        return torch.full((4, 4), torch.nan, dtype=torch.float64)
-    return torch.tensor(values, dtype=torch.float64).reshape(4, 4)
+    found = (p for p in places if all((p / n).is_dir() for n in names))
+    return next((p for p in found if next(p.glob("intrinsic*"), None)), None)
 
 
 FRAMES_PER_S = 30.0

@@ -30,7 +30,7 @@ def poses(takes):
     """wxyz and translation of world-to-camera in the reconstruction's unit, out of order as COLMAP's are."""
     T_CW = se3.inverse(takes.T_WC)
     rows = torch.cat([quaternion.from_matrix(T_CW[:, :3, :3]), T_CW[:, :3, 3] / UNIT_M], dim=1).tolist()
-    return [(i, rows[i]) for i in (2, 0, 3, 1)]
+    return [(i, rows[i]) for i in (2, 0, 3, 1) if i < len(rows)]
 
 
 def sparse_points(takes, i):
@@ -52,6 +52,20 @@ def write_colmap(root, takes, suffix, *, model="PINHOLE", params=None, points=Tr
         takes.write(root / f"images/left/frame{i + 8}.png", takes.png(i))
         takes.write(root / f"depth/left/frame{i + 8}.png", takes.depth_png(i))
     return root
+
+
+def test_of_several_models_the_largest_is_taken(tmp_path, takes):
+    root = write_colmap(tmp_path / "scan", takes, ".bin")
+    (root / "sparse/0").rename(root / "sparse/1")
+    part = type(takes)(takes.camera, takes.rgb[:3], takes.depth_m[:3], takes.T_WC[:3], takes.times_s[:3])
+    write_colmap(tmp_path / "part", part, ".txt")
+    (tmp_path / "part/sparse/0").rename(root / "sparse/0")
+    report = convert(root, tmp_path / "out", options=ConvertOptions(scale=UNIT_M))
+    assert report.frames == 4
+    assert any(
+        "sparse/1 is the largest model, of 4 images" in note and "sparse/0 has 3" in note for note in report.notes
+    )
+    assert convert(root / "sparse/0", tmp_path / "other", options=ConvertOptions(depth=str(root / "depth"))).frames == 3
 
 
 def write_txt(sparse, takes, camera, seen, points):

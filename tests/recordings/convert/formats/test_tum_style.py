@@ -27,7 +27,7 @@ def write_tum(root, takes, *, lists=True, truth=True):
 @pytest.mark.parametrize("lists", [True, False])
 def test_reads_what_was_written(tmp_path, takes, lists):
     root = write_tum(tmp_path / "scan", takes, lists=lists)
-    assert detect_format(root) == "tum"
+    assert detect_format(root) == ("tum" if lists else "images")
     report = convert(root, tmp_path / "out")
     takes.check(tmp_path / "out", depth_m=1.1e-4)
     assert (report.frames, report.depth_scale, report.dropped) == (4, 5000, {})
@@ -89,8 +89,12 @@ def test_names_that_are_no_times_pair_the_images(tmp_path, takes):
         report = convert(untimed(tmp_path / folder, takes, None, names=names), tmp_path / f"out {folder}", options=none)
         assert report.frames == 4
         assert any("no times or frame rate are written" in note for note in report.notes)
-    (tmp_path / "c/depth/00-d.png").unlink()
-    with pytest.raises(SequenceError, match=r"4 colour and 3 depth images without times"):
+    (tmp_path / "c/rgb/01-left.png").unlink()
+    report = convert(tmp_path / "c", tmp_path / "three", options=none)
+    assert (report.frames, report.dropped) == (3, {"no colour image of its number": 1})
+    for name in ("00", "02", "03"):
+        (tmp_path / f"c/rgb/{name}-left.png").rename(tmp_path / f"c/rgb/9{name}-left.png")
+    with pytest.raises(SequenceError, match=r"3 colour and 4 depth images without times"):
         convert(tmp_path / "c", tmp_path / "again", options=none)
 
 

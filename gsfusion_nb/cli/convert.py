@@ -1,0 +1,108 @@
+"""``gsfusion-nb convert``: what a recording does not say is asked for at a terminal, one question at a time."""
+
+import dataclasses
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ..config.values import parse_options, parse_value
+from ..data.sequence import SequenceError
+from ..files import read_object
+from ..recordings.convert.formats import FORMATS, known_formats, readable_layout
+from ..recordings.convert.recording import ConvertOptions, OptionNeeded
+from ..recordings.convert.run import ConvertReport, convert
+
+CONVERTED = Path("converted")
+"""Where ``mappable`` writes, below the current folder."""
+
+
+def convert_or_ask(
+    source: str | Path, out: str | Path, *, format: str = "auto", options: ConvertOptions | None = None
+) -> ConvertReport:
+    """``convert`` with a progress bar; what a recording does not say is asked for, if somebody is at a terminal.
+
+    Raises:
+        OptionNeeded: nobody can be asked; the message names the option that answers the question.
+        SequenceError, FileExistsError, KeyError: as ``convert``.
+    """
+    options = options or ConvertOptions()
+    while True:
+        try:
+            return convert(source, out, format=format, options=options, progress=True)
+        except OptionNeeded as needed:
+            if not (sys.stdin.isatty() and sys.stdout.isatty()):
+                raise
+            options = _answered(options, needed)
+
+
+def _answered(options: ConvertOptions, needed: OptionNeeded) -> ConvertOptions:
+    """The options with the answer of a person; asked again until it is one."""
+    print(needed.question)
+    for n, choice in enumerate(needed.choices, 1):
+        print(f"  {n}: {choice}")
+    while True:
+        answer = input(f"--{needed.option.replace('_', '-')} ").strip()
+        if answer.isdecimal() and 1 <= int(answer) <= len(needed.choices):
+            answer = needed.choices[int(answer) - 1]
+        try:
+            is_text = isinstance(getattr(options, needed.option), str)
+            return dataclasses.replace(options, **{needed.option: answer if is_text else parse_value(answer)})
+        except ValueError as e:
+            print(e)
+
+
+def mappable(source: str) -> tuple[str, bool]:
+    """A folder that can be mapped: ``source`` itself, or what a recording of another program was converted to.
+
+    Returns:
+        The folder, and whether its camera has to be tracked because the recording holds no poses.
+
+    Raises:
+        SequenceError, OptionNeeded: as ``convert_or_ask``.
+    """
+    path = Path(source).expanduser()
+    if readable_layout(path) or not any(f.recognise(path) for f in FORMATS.values() if path.exists()):
+        return source, False
+    out = CONVERTED / path.resolve().name
+    made = out / "conversion.json"
+    if not made.is_file():
+        print(f"{path} is converted to {out} first")
+        try:
+            report = convert_or_ask(path, out)
+        except OptionNeeded as e:
+            option = e.option.replace("_", "-")
+            raise SequenceError(f"{e}; before mapping: gsfusion-nb convert {path} {out} --{option} ...") from None
+        print(report)
+    elif Path(read_object(made, "the report of a conversion").get("source", "")).resolve() != path.resolve():
+        raise SequenceError(f"{out} is another recording; convert {path} to another folder, with gsfusion-nb convert")
+    else:
+        print(f"{path} was converted to {out} before; remove that folder to convert it again")
+    return str(out), not (out / "poses.txt").is_file()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertCommand:
+    """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
+    are written one by one, and OUT appears when all is done."""
+
+    words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")]
+    """FORMAT: colmap, icl_nuim, images, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if
+    omitted. SOURCE: the file or folder of the recording. OUT: a new folder."""
+    options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
+
+
+def convert_command(arguments: list[str]) -> ConvertReport:
+    """Convert as the arguments of ``gsfusion-nb convert`` say.
+
+    Raises:
+        ValueError: other arguments than [FORMAT] SOURCE OUT.
+    """
+    command = parse_options(ConvertCommand, prog="gsfusion-nb convert", arguments=arguments)
+    if not 2 <= len(command.words) <= 3:
+        listed = "\n".join(f"  {name:<10} {looks_for}" for name, looks_for in known_formats().items())
+        raise ValueError(f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}")
+    *format, source, out = command.words
+    return convert_or_ask(source, out, format=format[0] if format else "auto", options=command.options)

@@ -1,0 +1,162 @@
+"""Folders of images as people write them: names of files and folders, poses and intrinsics."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from gsfusion_nb.data import SequenceError
+from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
+from gsfusion_nb.recordings.convert.formats import images
+from gsfusion_nb.recordings.convert.recording import OptionNeeded, check_exr
+
+
+def write(root, takes, colour="color/{}.jpg", depth="depth/{}.png"):
+    for i in range(len(takes)):
+        picture = takes.jpeg(i) if colour.endswith("jpg") else takes.png(i)
+        takes.write(root / colour.format(i), picture)
+        takes.write(root / depth.format(i), takes.depth_png(i))
+    return root
+
+
+def K(takes):
+    c = takes.camera
+    return np.array([[c.fx, 0, c.cx - 0.5], [0, c.fy, c.cy - 0.5], [0, 0, 1]])
+
+
+def poses_txt(root, T):
+    np.savetxt(root / "poses.txt", T.reshape(len(T), 16))
+
+
+def traj_txt(root, T):
+    np.savetxt(root / "traj.txt", T.reshape(len(T), 16)[:, :12])
+
+
+def four_rows(root, T):
+    np.savetxt(root / "poses.txt", T.reshape(-1, 4))
+
+
+def pos_npy(root, T):
+    np.save(root / "pos.npy", T)
+
+
+def one_file_each(root, T):
+    (root / "pose").mkdir()
+    for i, pose in enumerate(T):
+        np.savetxt(root / f"pose/{i}.txt", pose)
+
+
+def named_rows(root, T):
+    lines = [f"{i}.jpg {' '.join(str(v) for v in pose.ravel())}" for i, pose in reversed([*enumerate(T)])]
+    (root / "poses.txt").write_text("\n".join(lines))
+
+
+@pytest.mark.parametrize("write_poses", [poses_txt, traj_txt, four_rows, pos_npy, one_file_each, named_rows])
+def test_poses(tmp_path, takes, write_poses):
+    root = write(tmp_path / "scan", takes)
+    write_poses(root, takes.T_WC.numpy())
+    np.savetxt(root / "K.txt", K(takes))
+    assert detect_format(root) == "images"
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out", rgb=3)
+
+
+def numbers(root, matrix):
+    (root / "intrinsics.txt").write_text(f"{matrix[0, 0]} {matrix[1, 1]} {matrix[0, 2]} {matrix[1, 2]}")
+
+
+def named(root, matrix):
+    lines = zip(("fx", "fy", "cx", "cy"), (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]), strict=True)
+    (root / "camera.yaml").write_text("%YAML:1.0\n" + "\n".join(f"Camera.{name}: {value}" for name, value in lines))
+
+
+def array(root, matrix):
+    np.save(root / "intrinsics.npy", matrix)
+
+
+def rows_in_json(root, matrix):
+    (root / "intrinsics.json").write_text(json.dumps({"K": matrix.tolist()}))
+
+
+@pytest.mark.parametrize("write_intrinsics", [numbers, named, array, rows_in_json])
+@pytest.mark.parametrize(
+    ("colour", "depth"),
+    [
+        ("colour/{}.png", "depth/{}.png"),
+        ("images/img_{}.png", "depths/d{}.png"),
+        ("color_{}.png", "depth_{}.png"),
+        ("data/frame-00000{}.color.png", "data/frame-00000{}.depth.png"),
+    ],
+)
+def test_names_and_intrinsics(tmp_path, takes, colour, depth, write_intrinsics):
+    root = write(tmp_path / "scan", takes, colour, depth)
+    write_intrinsics(root, K(takes))
+    pos_npy(root, takes.T_WC.numpy())
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out")
+
+
+def test_what_is_missing_is_asked_for_one_by_one(tmp_path, takes):
+    root = write(tmp_path / "scan", takes, "a/{}.png")
+    write(root, takes, "b/{}.png", "depth_filtered/{}.png")
+    answers = {
+        "depth": ("depth_filtered", ("depth/*.png", "depth_filtered/*.png")),
+        "colour": ("a/*.png", ("a/*.png", "b/*.png")),
+        "poses": ("none", ()),
+        "intrinsics": ("41.6", ()),
+    }
+    given = {}
+    for option, (answer, choices) in answers.items():
+        with pytest.raises(OptionNeeded, match=f"--{option}") as asked:
+            convert(root, tmp_path / "out", options=ConvertOptions(**given))
+        assert (asked.value.option, asked.value.choices) == (option, choices)
+        given[option] = answer
+    report = convert(root, tmp_path / "out", options=ConvertOptions(**given))
+    assert (report.camera.fx, report.camera.cx, report.has_poses) == (41.6, 30, False)
+
+
+def test_another_number_of_poses_than_of_frames(tmp_path, takes):
+    root = write(tmp_path / "scan", takes)
+    pos_npy(root, takes.T_WC.numpy()[:3])
+    with pytest.raises(SequenceError, match=r"pos\.npy holds 3 poses; expected 4, one per frame.*--poses none"):
+        convert(root, tmp_path / "out", options=ConvertOptions(intrinsics="40"))
+
+
+def test_eight_bits_have_lost_their_precision(tmp_path, takes):
+    root = write(tmp_path / "scan", takes)
+    for i in range(len(takes)):
+        image = (takes.depth_m[i] * 40).astype(np.uint8)
+        takes.write(root / f"depth/{i}.png", cv2.imencode(".png", image)[1].tobytes())
+    with pytest.raises(SequenceError, match=r"0\.png holds depth in 8 bits, so precision was lost"):
+        convert(root, tmp_path / "out")
+
+
+def test_pictures_alone_and_confidences_are_no_depth(tmp_path, takes):
+    root = tmp_path / "scan"
+    for i in range(len(takes)):
+        takes.write(root / f"rgb/{i}.png", takes.png(i))
+        takes.write(root / f"confidence/{i}.png", takes.depth_png(i))
+    assert not images.recognise(root)
+
+
+def test_the_package_for_openexr_is_named_before_anything_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(SequenceError, match=r"0\.exr is an OpenEXR file.*pip install 'gsfusion-nb\[exr\]'"):
+        check_exr(tmp_path / "0.exr")
+
+
+@pytest.mark.parametrize(
+    ("name", "focal_px", "scale"),
+    [("redkitchen_mini48", 265.7, 1000.0), ("rgbd_dataset_freiburg1_xyz_excerpt", 517, 5000.0)],
+)
+def test_the_focal_length_of_real_recordings_is_estimated(shared_sequence, tmp_path, name, focal_px, scale):
+    options = ConvertOptions(poses="none", intrinsics="estimate", depth_scale=scale, every=12)
+    report = convert(shared_sequence(name), tmp_path / "out", options=options)
+    assert report.camera.fx == pytest.approx(focal_px, rel=0.05)
+
+
+def test_a_focal_length_that_nothing_shows_is_asked_for(tmp_path, takes):
+    root = write(tmp_path / "scan", takes)
+    with pytest.raises(OptionNeeded, match="cannot be measured"):
+        convert(root, tmp_path / "out", options=ConvertOptions(poses="none", intrinsics="estimate"))
