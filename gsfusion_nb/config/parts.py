@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from .values import Settings, positive, within
+from .values import Settings, positive, replace, within
 
 _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))
 NAMED_AXES = {
@@ -346,8 +346,7 @@ class SystemConfig(Settings):
     def __post_init__(self):
         super().__post_init__()
         if self.tracking.poses == "tracked":  # the data's poses may not move the depth that the tracker aligns
-            repair = dataclasses.replace(self.data.repair, depth_pose="colour")
-            object.__setattr__(self, "data", dataclasses.replace(self.data, repair=repair))
+            object.__setattr__(self, "data", replace(self.data, repair__depth_pose="colour"))
 
     @property
     def source_stride(self) -> int:

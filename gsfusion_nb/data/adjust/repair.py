@@ -119,8 +119,7 @@ class RepairedSequence:
             depth_m = depth_m / rays(self.camera, pixel_grid(self.camera)).norm(dim=-1)
         if not lag_s:
             return depth_m
-        T_CD = se3.inverse(T_WC.double()) @ self._pose_after(i, lag_s)
-        return warp_depth(depth_m, self.camera, self.camera, T_CD)
+        return warp_depth(depth_m, self.camera, self.camera, se3.inverse(T_WC.double()) @ self._pose_after(i, lag_s))
 
     @functools.cached_property
     def _depth_images(self) -> list[tuple[int, float]]:
@@ -135,12 +134,12 @@ class RepairedSequence:
 
     def _pose_after(self, i: int, seconds: float) -> Float[Tensor, "4 4"]:
         """The pose that the camera had so long after picture ``i`` was taken, float64."""
-        later_s = self.repair.pose_offset_s + seconds
+        seconds += self.repair.pose_offset_s
         taken_s = np.interp(i + self.repair.pose_shift_frames, np.arange(len(self)), self.times_s)
-        T = self._path.at(torch.tensor([taken_s + later_s]))[0]
+        T = self._path.at(torch.tensor([taken_s + seconds]))[0]
         if not bool(torch.isfinite(T).all()):
             raise BadFrameError(
-                f"{self.name} frame {i} has no pose: {later_s:+g} s lead farther than one frame from every other pose; "
+                f"{self.name} frame {i} has no pose: {seconds:+g} s lead farther than one frame from every other pose; "
                 "expected a smaller repair.pose_offset_s or depth_offset_s"
             )
         return T

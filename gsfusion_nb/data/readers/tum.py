@@ -119,8 +119,7 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
         if not name:
             raise SequenceError(
                 f"{root}: the folder's name holds none of {', '.join(LENSES)}, or it has a calibration file; if it "
-                "is the benchmark's, give one with --reader camera=freiburg1; a recording of another camera: "
-                f"gsfusion-nb convert {root} OUT"
+                f"is the benchmark's: --reader camera=freiburg1; if another camera's: gsfusion-nb convert {root} OUT"
             )
     if name not in LENSES:
         raise SequenceError(f"{root}: no TUM camera {shown(name)}; known: {', '.join(LENSES)}")

@@ -8,7 +8,6 @@ from typing import Any
 
 from ...config import DataConfig, RepairConfig
 from ...data.adjust.repair import RepairedSequence, apply_options
-from ...data.lens import Undistorter
 from ...data.open import detect_layout, known_layouts, open_sequence
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence
@@ -54,9 +53,7 @@ def check_recording(
     started = time.perf_counter()
     given = data or DataConfig()
     base, hint = _opened(sequence_or_path, reader_options)
-    raw, findings = RepairConfig(), []
-    if isinstance(base, RecordedSequence):
-        raw, findings = examine_files(base, given.repair)
+    raw, findings = examine_files(base, given.repair) if isinstance(base, RecordedSequence) else (RepairConfig(), [])
     given = combined(given, DataConfig(repair=raw))
     trials, sequence = Trials(base, given), apply_options(base, replace(given, hold_out_every=0))
     sample = read_sample(sequence, frames=frames)
@@ -108,8 +105,8 @@ def _examine(
         e = explain(trials.mapped(sample), pairs)
         first, (e, sample) = agreement_finding(e), trials.in_time(e, sample)
         repair, graphs = e.repair, path_from_above(sample, e.interpretation)
-        rectify = getattr(trials.base, "rectify", None)
-        about = fit_findings(e, sample.camera, rectify.lens.camera if isinstance(rectify, Undistorter) else None)
+        lens = getattr(getattr(trials.base, "rectify", None), "lens", None)
+        about = fit_findings(e, sample.camera, lens and lens.camera)
         over = measure_over_frames(sample, e.interpretation, e.correction)
         piece, jumps = jump_finding(over, 1 + max(int(over.number.max()), sample.length - 1))
         last = [jumps]
@@ -120,7 +117,7 @@ def _examine(
         text = "The recording has no poses: whatever needs them is not judged."
         first = Finding("poses", "unknown", text, repair="--tracking.poses tracked --reader poses=false")
         over = measure_over_frames(sample, RepairConfig(), CalibrationCorrection(), posed=False)
-    colour, colour_findings = registration_findings(fit_colour(trials.mapped(sample)), sample.camera)
+    colour, colour_findings = registration_findings(fit_colour(sample), sample.camera)
     related, reader = colour_findings[0].verdict != "wrong" or bool(colour.changes), {}
     if hint and colour_findings[0].verdict in ("doubtful", "wrong"):  # a calibration is better than a shift
         colour, reader, related = RepairConfig(), hint, True

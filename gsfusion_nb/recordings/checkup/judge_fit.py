@@ -54,8 +54,7 @@ def fit_findings(e: Explanation, camera: Camera, lens: Camera | None = None) -> 
     late = f"A frame's depth image belongs to the pose recorded {abs(shift):.1f} frames {side}."
     if not shift:
         rgb_ms, depth_ms = 1000 * r.pose_offset_s + 0.0, 1000 * (r.pose_offset_s + r.depth_offset_s)
-        late = f"By the clock of the poses, pictures were taken {rgb_ms:+.0f} ms and depth images {depth_ms:+.0f} ms "
-        late += "after their time stamps."
+        late = f"Pictures were taken {rgb_ms:+.0f} ms and depth images {depth_ms:+.0f} ms after their time stamps."
     focal = f"The focal lengths are wrong: fx {camera.fx:.1f}, fy {camera.fy:.1f}, but the depth images give fx "
     focal += f"{r.fx:.1f}, fy {r.fy:.1f}"
     if "intrinsics size" in e.adopted:

@@ -18,6 +18,7 @@ from collections import abc
 from dataclasses import dataclass
 
 import cv2
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -234,7 +235,10 @@ def aligned(
         T_ba: The motions so far, float64.
         blur: Standard deviation of the blur of the pictures, in widths.
     """
-    camera, smooth = sample.depth_camera, {f.place: _blurred(f, blur) for pair in pairs for f in pair}
+    camera, smooth = sample.depth_camera, {}
+    for f in itertools.chain(*pairs):
+        grey, sigma_px = f.grey.astype(np.float32), max(0.7, blur * f.grey.shape[1])
+        smooth[f.place] = torch.from_numpy(np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma_px)))
     every = max(1, camera.width // _ACROSS)
     uv = pixel_grid(camera)[every // 2 :: every, every // 2 :: every].reshape(-1, 2)
     u, v = uv.long().unbind(-1)
@@ -282,13 +286,6 @@ def _normal_equations(
     w = 1 / ((1 + (r / (2 * scale)) ** 2) * scale**2)
     H, g = J.mT @ (w[..., None] * J), (J * (w * r)[..., None]).sum(1)
     return H.double(), g.double()
-
-
-def _blurred(f: FrameFacts, blur: float) -> Float[Tensor, "h w"]:
-    import numpy as np
-
-    sigma_px = max(0.7, blur * f.grey.shape[1])
-    return torch.from_numpy(np.asarray(cv2.GaussianBlur(f.grey.astype(np.float32), (0, 0), sigma_px)))
 
 
 def _sampled(

@@ -114,8 +114,7 @@ class CheckupReport:
                 lines.append(f"      {'':<{width}}  -> {f.repair}")
         if self.flags:
             lines.append(f"All repairs together: {self.flags}")
-        if self.together:
-            lines.append(f"With all of them {self.together}.")
+        lines += [f"With all of them {self.together}."] * bool(self.together)
         return "\n".join(lines)
 
     def __repr__(self) -> str:

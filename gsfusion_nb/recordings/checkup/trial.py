@@ -147,13 +147,13 @@ class Trials:
             if other is not None or rest != kept:
                 among = around if {"start", "stop", "repair.skip"} & {*options} else None
                 before, after = self.of(rest, among=among), self.of(kept, other, among)
-                tried = after.beside(before)
-                if after.gains(before):
+                gained = after.gains(before)
+                tried = f"Tried{'' if gained else ', and no better'}: {after.beside(before)}."
+                f = replace(f, sentence=f"{f.sentence} {tried}")
+                if gained:
                     self.base = other or self.base
-                    f = replace(f, sentence=f"{f.sentence} Tried: {tried}.")
                 else:
-                    kept, text = rest, f"{f.sentence} Tried, and no better: {tried}."
-                    f = replace(f, verdict="unknown", repair="", sentence=text)
+                    kept, f = rest, replace(f, verdict="unknown", repair="")
             judged.append(f)
         if kept == DataConfig() and self.base is read:
             return judged, kept, ""

@@ -12,16 +12,32 @@ RPY = "rgbd_dataset_freiburg1_rpy_excerpt"
 @pytest.mark.ci
 def test_fast_rotation_is_no_wrong_calibration(shared_sequence):
     report = check_recording(shared_sequence(RPY), pictures=False)
-    assert set(report.data.repair.changes) <= {"pose_shift_frames"}
+    assert set(report.data.repair.changes) <= {"pose_offset_s", "depth_offset_s"}
+    # by optical flow depth is 24 ms late, and the pictures agree with the motion capture
+    assert report.data.repair.pose_offset_s + report.data.repair.depth_offset_s == pytest.approx(-0.024, abs=0.005)
+    assert abs(report.data.repair.pose_offset_s) < 0.01
+    assert "Tried: " in report["pose time"].sentence
+    assert "the lens has 517.3 and 516.5" in report["focal length"].sentence
     assert report["registration"].verdict in ("ok", "unknown")
     assert report["principal point"].verdict == "unknown"
+
+
+@pytest.mark.ci
+def test_late_depth_is_no_colour_of_another_frame_and_no_jump(shared_sequence):
+    folder = shared_sequence("rgbd_dataset_freiburg1_xyz_excerpt")
+    report = check_recording(folder, pictures=False)
+    assert [f.name for f in report.trouble] == ["pose time"]
+    assert set(report.data.repair.changes) == {"depth_offset_s"}
+    assert -0.026 < report.data.repair.depth_offset_s < -0.01
+    again = check_recording(folder, data=report.data, pictures=False)
+    assert again.ok, str(again)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("start", "stop"), [(0, 31), (15, 46), (30, 61), (40, 61)])
 def test_no_window_of_it_asks_for_another_camera(shared_sequence, start, stop):
     report = check_recording(shared_sequence(RPY), data=DataConfig(start=start, stop=stop), pictures=False)
-    assert set(report.data.repair.changes) <= {"pose_shift_frames"}
+    assert set(report.data.repair.changes) <= {"pose_offset_s", "depth_offset_s"}
     assert all(f.name == "pose time" for f in report.trouble)
 
 
