@@ -94,12 +94,11 @@ def write_hand_held(folder: str | Path, recording: HandHeld | None = None) -> Pa
     lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
     for k in range(made.n_images):
         frame = sequence[POSES_PER_IMAGE * k]
-        rgb_s = f"{FIRST_S + k / made.fps:.6f}"
-        depth_s = f"{FIRST_S + k / made.fps + 0.004:.6f}"  # the depth camera answers a little later
-        write_rgb(root / f"rgb/{rgb_s}.jpg", _photographed(frame.rgb_u8.numpy(), k, made))
-        write_depth(root / f"depth/{depth_s}.png", frame.depth_m.numpy(), made.depth_units)
-        lists["rgb"].append(f"{rgb_s} rgb/{rgb_s}.jpg")
-        lists["depth"].append(f"{depth_s} depth/{depth_s}.png")
+        time_s = f"{FIRST_S + k / made.fps:.6f}"
+        write_rgb(root / f"rgb/{time_s}.jpg", _photographed(frame.rgb_u8.numpy(), k, made))
+        write_depth(root / f"depth/{time_s}.png", frame.depth_m.numpy(), made.depth_units)
+        lists["rgb"].append(f"{time_s} rgb/{time_s}.jpg")
+        lists["depth"].append(f"{time_s} depth/{time_s}.png")
     lists["groundtruth"] = _pose_lines(sequence, made)
     for name, lines in lists.items():
         (root / f"{name}.txt").write_text("\n".join(["# a hand-held recording", *lines, ""]), encoding="utf-8")

@@ -212,7 +212,7 @@ class SelectedFrames:
     def __init__(
         self, frames: Iterable[Frame] | Sequence, data: DataConfig, *, name: str = "stream", first_index: int = 0
     ):
-        if data.repair.changes:
+        if data.repair.changes.keys() - {"depth_pose"}:  # a stream's images have one time
             raise SequenceError(f"{name}: data.repair corrects recordings; a stream cannot be corrected")
         if 0 < data.stop <= data.start:
             raise SequenceError(f"{name}: data.stop must be above data.start {data.start}, or 0, got {data.stop}")

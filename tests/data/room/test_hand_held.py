@@ -20,7 +20,7 @@ def recording(tmp_path_factory):
 
 def test_its_depth_is_in_millimetres_and_its_poses_are_late(recording):
     room = SMALL.sequence
-    repair = RepairConfig(depth_factor=5.0, pose_shift_frames=SMALL.pose_delay_s * SMALL.fps)
+    repair = RepairConfig(depth_factor=5.0, pose_offset_s=SMALL.pose_delay_s)
     mended = repaired(recording, repair)
     lost = SMALL.n_images - len(recording)  # the first images are older than the first pose
     assert 1 <= lost <= 2

@@ -5,6 +5,7 @@ frame-000000.depth.png. They are paired by the times or the numbers in their nam
 floating point, NumPy or OpenEXR, registered to colour. Where several kinds fit, an option decides.
 """
 
+import contextlib
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence, Set
@@ -275,12 +276,20 @@ def _model(
         model, sentence = estimated_model(found.pairs, scale)
         return model, [sentence]
     known = benchmark_camera(path)
-    if not file and not known:
+    readable = _sizes(found.pairs) if file or known else iter(())
+    height, width = next(readable, (0, 0))
+    if not height:
         return None, []
-    height, width = read_rgb(found.pairs[0][0]).shape[:2]
     if file:
         centre = options.pixel_centre if options.intrinsics else 0.0
         return read_intrinsics(file, (width, height), centre=centre), [f"intrinsics from {file}"]
     if (LENSES[known].camera.width, LENSES[known].camera.height) != (width, height):
         return None, []
     return LENSES[known], [f"intrinsics of the TUM benchmark's {known}"]
+
+
+def _sizes(pairs: list[tuple[Path, Path]]) -> Iterator[tuple[int, ...]]:
+    """Height and width of each colour image that can be read."""
+    for colour, _ in pairs:
+        with contextlib.suppress(BadFrameError):
+            yield read_rgb(colour).shape[:2]
