@@ -127,6 +127,11 @@ def picture_html(address: str, content: bytes, metadata: Mapping[str, Any], suff
     )
 
 
+_DRAWING = ("show", "show_figure", "show_mesh")
+"""A cell that ends in one of these is there for its picture."""
+_STILL = (
+    '<p class="gsnb-still">A stored picture. Its buttons and sliders are in the notebook: <code>make lab</code></p>'
+)
 _SOLUTION = re.compile(r"^### (BEGIN|END) SOLUTION\n*", re.MULTILINE)
 _EMPTY = re.compile(r"^def (\w+)\(", re.MULTILINE)
 
@@ -182,8 +187,11 @@ class Chapter:
             return raw(f'<div class="gsnb-came" data-prediction="{asked}" data-right="{right}">{"".join(shown)}</div>')
         later = f' data-prediction="{asked}"' if asked and shown else ""
         below = f'<div class="gsnb-outputs"{later}>{"".join(shown)}</div>' if shown else ""
-        cell_begins = raw(f'<div class="gsnb-cell" id="{cell["id"]}">')
-        return f"{cell_begins}\n{_python(source)}\n{raw(f'{below}</div>{_hints(source)}')}"
+        begins, ends = f'<div class="gsnb-cell" id="{cell["id"]}">', f"{below}</div>{_hints(source)}"
+        folded = cell["metadata"].get("jupyter", {}).get("source_hidden") or (call and _called(call) in _DRAWING)
+        if folded:
+            begins, ends = f'{begins}<details class="gsnb-code"><summary>Code</summary>', f"</details>{ends}"
+        return f"{raw(begins)}\n{_python(source)}\n{raw(ends)}"
 
     def _outputs(self, cell: Mapping[str, Any]) -> list[str]:
         """HTML of each output of a cell; what it printed in a row is one."""
@@ -203,7 +211,8 @@ class Chapter:
             if kind in data:
                 address = f"{self.stem}_files/{name}.{suffix}"
                 self.files[address] = base64.b64decode("".join(data[kind]))
-                return picture_html(address, self.files[address], metadata.get(kind, {}), suffix)
+                still = "" if "".join(data["text/plain"]).startswith("<IPython") else _STILL
+                return picture_html(address, self.files[address], metadata.get(kind, {}), suffix) + still
         return _printed("".join(data.get("text/plain", output.get("traceback", ""))))
 
 
