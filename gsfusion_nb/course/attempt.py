@@ -54,43 +54,9 @@ class Attempt:
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         given, named = [argument_copy(a) for a in args], {k: argument_copy(a) for k, a in kwargs.items()}
         on = self.words or describe([*args, *kwargs.values()])
-        self.returned = self._run(self.function, given, named, on)
-        for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
-            if not _same(before, after):
-                names = {Tensor: "a tensor", np.ndarray: "an array", Camera: "the camera"}
-                what = names.get(type(before), f"a {type(before).__name__}")
-                detail = f"{what} that was passed in has changed; work on a copy"
-                raise Failed("it does not change its inputs", on, detail)
-        return self.returned
-
-    def each(self, calls: Sequence[tuple]) -> list[Any]:
-        """The results for many tuples of arguments, in one go."""
-        function = self.function
-
-        @functools.wraps(function)
-        def in_turn() -> list[Any]:
-            return [function(*args) for args in calls]
-
-        results = self._run(in_turn, (), {}, self.words, many=True)
-        self.returned = results[-1]
-        if any(result is None or result is Ellipsis for result in results):
-            raise NotWritten
-        return results
-
-    def not_borrowed(self, replaced: Sequence[Callable[..., Any]]) -> None:
-        """Fails if functions of the library returned the answer in every call, or it called one that it replaces."""
-        called = {self.lines[f.__code__] for f in map(inspect.unwrap, replaced) if f.__code__ in self.lines}
-        for line in called | (self.borrowed or set()):
-            code = inspect.unwrap(self.function).__code__
-            detail = f"a function of the library gave the answer in {line_in_words(code.co_filename, line)}"
-            raise Failed("it computes the answer itself", self.words, f"{detail}. Write what that function computes")
-
-    def _run(
-        self, function: Callable[..., Any], args: Sequence[Any], kwargs: dict[str, Any], on: str, *, many: bool = False
-    ) -> Any:
         try:
             with calls_of_library(self.function) as calls:
-                result = run_learner(function, args, kwargs)
+                result = run_learner(self.function, given, named)
         except NotImplementedError:
             raise NotWritten from None
         except Failed as e:  # it broke a rule that holds for every exercise
@@ -101,12 +67,25 @@ class Attempt:
             raise Failed("it runs", on, f"{raised}: {str(e).splitlines()[0] if str(e) else ''}") from e
         if result is None or result is Ellipsis:
             raise NotWritten
-        answers = result if many else [result]
         self.lines |= {code: line for line, code, _ in calls}
-        found = {call[:2]: [value for *place, value in calls if tuple(place) == call[:2]] for call in calls}
-        same = {line for (line, _), values in found.items() if _is_answer(values, answers)}
+        same = {line for line, _, value in calls if _is_answer(value, result)}
         self.borrowed = same if self.borrowed is None else self.borrowed & same
-        return result
+        self.returned = result
+        for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
+            if not _same(before, after):
+                names = {Tensor: "a tensor", np.ndarray: "an array", Camera: "the camera"}
+                what = names.get(type(before), f"a {type(before).__name__}")
+                detail = f"{what} that was passed in has changed; work on a copy"
+                raise Failed("it does not change its inputs", on, detail)
+        return self.returned
+
+    def not_borrowed(self, replaced: Sequence[Callable[..., Any]]) -> None:
+        """Fails if functions of the library returned the answer in every call, or it called one that it replaces."""
+        called = {self.lines[f.__code__] for f in map(inspect.unwrap, replaced) if f.__code__ in self.lines}
+        for line in called | (self.borrowed or set()):
+            code = inspect.unwrap(self.function).__code__
+            detail = f"a function of the library gave the answer in {line_in_words(code.co_filename, line)}"
+            raise Failed("it computes the answer itself", self.words, f"{detail}. Write what that function computes")
 
     def holds(self, condition: Any, prop: str, *, detail: str) -> None:
         """``prop`` fails, with ``detail``, unless ``condition`` is true."""
@@ -167,7 +146,7 @@ def _same(before: Any, after: Any) -> bool:
 
 
 def _is_answer(value: Any, answer: Any) -> bool:
-    """Whether what functions of the library returned has the values of the learner's answers."""
+    """Whether what a function of the library returned has the values of the learner's answer."""
     if isinstance(value, (list, tuple)) and isinstance(answer, (list, tuple)):
         return len(value) == len(answer) and all(map(_is_answer, value, answer))
     try:

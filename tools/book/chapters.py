@@ -127,6 +127,8 @@ def picture_html(address: str, content: bytes, metadata: Mapping[str, Any], suff
     )
 
 
+_ATTACHED = re.compile(r"!\[[^\]]*\]\(attachment:[^)]*\)\s*")
+"""A picture that a text cell holds; the book has the map itself in its place."""
 _DRAWING = ("show", "show_figure", "show_mesh")
 """A cell that ends in one of these is there for its picture."""
 _STILL = (
@@ -164,7 +166,7 @@ class Chapter:
     def _text(self, cell: Mapping[str, Any]) -> str:
         if self._came:  # the outputs between what came and the next text wait for the prediction, too
             self._asked, self._came = "", False
-        text = in_the_book("".join(cell["source"]), self.page, self.places)
+        text = in_the_book(_ATTACHED.sub("", "".join(cell["source"])), self.page, self.places)
         return numbered(text, str(int(self.stem[:2])), lambda: next(self._equations))
 
     def _code(self, cell: Mapping[str, Any]) -> str:
