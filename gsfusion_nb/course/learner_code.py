@@ -160,7 +160,7 @@ def calls_of_library(function: Callable[..., Any]) -> Iterator[list[tuple[int, t
             if caller is not None and caller.f_code.co_filename == code.co_filename:
                 calls.append((caller.f_lineno, frame.f_code, value))
 
-    if code is not None and not _is_of_library(function.__module__):
+    if code is not None and not _is_of_library(str(function.__module__)):
         sys.setprofile(watch)
     try:
         yield calls

@@ -213,7 +213,7 @@ class Chapter:
             if kind in data:
                 address = f"{self.stem}_files/{name}.{suffix}"
                 self.files[address] = base64.b64decode("".join(data[kind]))
-                still = "" if "".join(data["text/plain"]).startswith("<IPython") else _STILL
+                still = "" if "".join(data.get("text/plain", "<IPython")).startswith("<IPython") else _STILL
                 return picture_html(address, self.files[address], metadata.get(kind, {}), suffix) + still
         return _printed("".join(data.get("text/plain", output.get("traceback", ""))))
 

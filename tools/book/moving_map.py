@@ -3,18 +3,10 @@
 import base64
 import json
 from pathlib import Path
-from typing import Any
 
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.viz import SplatViewer
-
-
-class _Sent(SplatViewer):
-    """A viewer that keeps the rows that it would send to the page."""
-
-    def send(self, content: Any, buffers: Any = None) -> None:
-        self.head, self.rows = content["head"], buffers[0]
 
 
 def moving_map() -> str:
@@ -24,13 +16,14 @@ def moving_map() -> str:
     run = MappingRun(open_sequence("room", data=config.data, n_frames=60), GSFusion(config))
     for _ in (*run.online(), *run.optimise()):
         pass
-    viewer = _Sent(run.mapper, width=480, height=360).look_from("above")
+    viewer, sent = SplatViewer(run.mapper, width=480, height=360).look_from("above"), []
+    viewer.send = lambda content, buffers: sent.extend((content["head"], *buffers))  # what the page would get
     viewer._heard(None, {"kind": "ready"}, [])
     state = {
         name: value for name, value in viewer.get_state().items() if name[0] != "_" and name in SplatViewer.__dict__
     }
-    rows = base64.b64encode(viewer.rows).decode("ascii")
-    values = {"STYLE": str(viewer._css), "STATE": state, "HEAD": viewer.head, "ROWS": rows}
+    rows = base64.b64encode(sent[1]).decode("ascii")
+    values = {"STYLE": str(viewer._css), "STATE": state, "HEAD": sent[0], "ROWS": rows}
     constants = "\n".join(f"const {name} = {json.dumps(value)};" for name, value in values.items())
     module = str(viewer._esm).replace("export default {", "const VIEWER = {")
     start = (Path(__file__).parent / "static/moving_map.js").read_text(encoding="utf-8")
