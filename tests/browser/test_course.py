@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from quick_run import on_one_thread, quick
 
 from gsfusion_nb.course.copies import without_solutions
 
