@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from quick_run import quick
 
 from gsfusion_nb.course.copies import without_solutions
 
@@ -100,11 +101,14 @@ def test_stored_outputs_are_light_and_tell_nothing_about_a_machine(path):
 @EACH
 def test_has_the_parts_of_a_chapter(path):
     text = "\n".join(joined(cell["source"]) for cell in cells(path) if cell["cell_type"] == "markdown")
-    for part in ("Goal", "Predict", "What breaks if", "Exercise", "Further reading"):
+    for part in ("Goal", "What breaks if", "Exercise", "Further reading"):
         assert part in text, f"{path.name} has no {part!r}"
+    assert "**Predict" not in text, "a prediction is a cell with predict(...), which can be clicked"
+    assert any(re.search(r"^(course\.)?predict\(", joined(c["source"])) for c in cells(path)), "no prediction"
     tagged = [cell for cell in cells(path) if "parameters" in cell["metadata"].get("tags", [])]
     assert len(tagged) == 1
-    assert "GSNB_SMOKE" in joined(tagged[0]["source"])
+    assert quick({"cells": tagged})["cells"][0]["source"] != tagged[0]["source"], "the quick version is as long"
+    assert "SMOKE" not in "".join(joined(cell["source"]) for cell in cells(path))
 
 
 @EACH
@@ -152,7 +156,7 @@ def run_quickly(notebook: dict, name: str, tmp_path: Path) -> Path:
     site.mkdir()
     (site / "sitecustomize.py").write_text(_NO_NETWORK, encoding="utf-8")
     copy = folder / name
-    copy.write_text(json.dumps(notebook), encoding="utf-8")
+    copy.write_text(json.dumps(quick(notebook)), encoding="utf-8")
     environment = os.environ | {"GSNB_SMOKE": "1", "PYTHONPATH": str(site), "IPYTHONDIR": str(tmp_path / "ipython")}
     done = subprocess.run(
         [sys.executable, "-c", _EXECUTE, str(copy), str(SMOKE_LIMIT_S)],

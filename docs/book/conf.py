@@ -36,6 +36,7 @@ html_show_copyright = False
 html_show_sourcelink = False
 html_copy_source = False
 html_show_search_summary = False  # it reads other pages, which a page opened from a folder may not
+html_search_scorer = os.path.join(os.path.dirname(__file__), "scorer.js")
 html_permalinks_icon = "#"
 html_static_path = [os.environ["GSNB_BOOK_STATIC"]]
 html_extra_path = [os.environ["GSNB_BOOK_EXTRA"]]

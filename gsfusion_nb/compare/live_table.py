@@ -11,7 +11,7 @@ from ..drawing.curves import figure_picture, figure_words
 from ..drawing.page import fill
 from ..drawing.pictures import Picture
 from ..mapping import StepReport
-from ..viz.display import Bundle, with_picture
+from ..viz.display import Bundle, LiveOutput, with_picture
 from ..viz.player import MIN_INTERVAL_S, Player, error_html, player_buttons, take_the_stage
 from .executors import InProcess, Task
 from .map_scene import Entry
@@ -25,7 +25,7 @@ class _Stopped(BaseException):
     """Raised between two frames of a run that is given up; no ``except Exception`` holds it back."""
 
 
-class LiveTable:
+class LiveTable(LiveOutput):
     """Does runs in a thread of its own and shows their results as they come; other cells can run meanwhile.
 
     The last line of a cell shows it. From Python: ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which
@@ -50,7 +50,7 @@ class LiveTable:
         self._go, self._given_up, self._resting, self._now = threading.Event(), False, False, ""
         self._go.set()
         self._writing, self._next_write_s = threading.RLock(), 0.0
-        self.player = Player(self._runs, on_step=lambda _: self._show(), on_rest=self._show)
+        self.player = Player(self._runs, on_step=lambda _: self._show(), on_rest=self.store_output)
         self._build()
         self._show()
 

@@ -1,8 +1,10 @@
 """A learner's function under test, the statements that a judge makes about what it returns, and the verdict."""
 
 import functools
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from types import CodeType
 from typing import Any, Literal
 
 import numpy as np
@@ -11,7 +13,15 @@ from torch import Tensor
 
 from ..drawing.page import fill
 from ..types import Camera
-from .learner_code import CodeInUse, argument_copy, in_words, line_of_error, run_learner
+from .learner_code import (
+    CodeInUse,
+    argument_copy,
+    calls_of_library,
+    in_words,
+    line_in_words,
+    line_of_error,
+    run_learner,
+)
 from .learner_code import Failed as Failed
 
 
@@ -31,6 +41,10 @@ class Attempt:
         self.words = ""
         self.returned: Any = None
         """What the last call returned."""
+        self.lines: dict[CodeType, int] = {}
+        """Functions of the library that it called, and where."""
+        self.borrowed: set[int] | None = None
+        """Lines at which a function of the library returned the answer, in every call so far."""
 
     def on(self, words: str) -> "Attempt":
         """Describe the input of the next calls: ``attempt.on("a pixel at 2 m")(camera, uv, depth)``."""
@@ -40,32 +54,9 @@ class Attempt:
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         given, named = [argument_copy(a) for a in args], {k: argument_copy(a) for k, a in kwargs.items()}
         on = self.words or describe([*args, *kwargs.values()])
-        self.returned = self._run(self.function, given, named, on)
-        for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
-            if not _same(before, after):
-                names = {Tensor: "a tensor", np.ndarray: "an array", Camera: "the camera"}
-                what = names.get(type(before), f"a {type(before).__name__}")
-                detail = f"{what} that was passed in has changed; work on a copy"
-                raise Failed("it does not change its inputs", on, detail)
-        return self.returned
-
-    def each(self, calls: Sequence[tuple]) -> list[Any]:
-        """The results for many tuples of arguments, in one go."""
-        function = self.function
-
-        @functools.wraps(function)
-        def in_turn() -> list[Any]:
-            return [function(*args) for args in calls]
-
-        results = self._run(in_turn, (), {}, self.words)
-        self.returned = results[-1]
-        if any(result is None or result is Ellipsis for result in results):
-            raise NotWritten
-        return results
-
-    def _run(self, function: Callable[..., Any], args: Sequence[Any], kwargs: dict[str, Any], on: str) -> Any:
         try:
-            result = run_learner(function, args, kwargs)
+            with calls_of_library(self.function) as calls:
+                result = run_learner(self.function, given, named)
         except NotImplementedError:
             raise NotWritten from None
         except Failed as e:  # it broke a rule that holds for every exercise
@@ -76,7 +67,25 @@ class Attempt:
             raise Failed("it runs", on, f"{raised}: {str(e).splitlines()[0] if str(e) else ''}") from e
         if result is None or result is Ellipsis:
             raise NotWritten
-        return result
+        self.lines |= {code: line for line, code, _ in calls}
+        same = {line for line, _, value in calls if _is_answer(value, result)}
+        self.borrowed = same if self.borrowed is None else self.borrowed & same
+        self.returned = result
+        for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
+            if not _same(before, after):
+                names = {Tensor: "a tensor", np.ndarray: "an array", Camera: "the camera"}
+                what = names.get(type(before), f"a {type(before).__name__}")
+                detail = f"{what} that was passed in has changed; work on a copy"
+                raise Failed("it does not change its inputs", on, detail)
+        return self.returned
+
+    def not_borrowed(self, replaced: Sequence[Callable[..., Any]]) -> None:
+        """Fails if functions of the library returned the answer in every call, or it called one that it replaces."""
+        called = {self.lines[f.__code__] for f in map(inspect.unwrap, replaced) if f.__code__ in self.lines}
+        for line in called | (self.borrowed or set()):
+            code = inspect.unwrap(self.function).__code__
+            detail = f"a function of the library gave the answer in {line_in_words(code.co_filename, line)}"
+            raise Failed("it computes the answer itself", self.words, f"{detail}. Write what that function computes")
 
     def holds(self, condition: Any, prop: str, *, detail: str) -> None:
         """``prop`` fails, with ``detail``, unless ``condition`` is true."""
@@ -134,6 +143,16 @@ def _same(before: Any, after: Any) -> bool:
     if isinstance(before, np.ndarray):
         return np.array_equal(before, after, equal_nan=True)
     return before == after if isinstance(before, (list, dict, Camera)) else True
+
+
+def _is_answer(value: Any, answer: Any) -> bool:
+    """Whether what a function of the library returned has the values of the learner's answer."""
+    if isinstance(value, (list, tuple)) and isinstance(answer, (list, tuple)):
+        return len(value) == len(answer) and all(map(_is_answer, value, answer))
+    try:
+        return torch.equal(*(as_tensor(x).flatten().nan_to_num() for x in (value, answer)))
+    except (TypeError, ValueError, RuntimeError):
+        return False
 
 
 def as_rows(value: Any) -> Any:

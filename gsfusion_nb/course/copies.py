@@ -1,9 +1,9 @@
 """Copies of the notebooks: for one learner to work in, for students to hand in; and their documentation.
 
 In a code cell everything from the line ``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell
-from ``<!-- BEGIN SOLUTION -->`` to ``<!-- END SOLUTION -->``. A cell that would be empty without it is left out. A
-student's copy has no outputs, because they would show what the reader is asked to predict. A learner's copy has the
-stored pictures of what to expect.
+from ``<!-- BEGIN SOLUTION -->`` to ``<!-- END SOLUTION -->``. A cell that would be empty without it is left out, and
+so are other comments of text cells, which are for tests. A student's copy has no outputs, because they would show what
+the reader is asked to predict. A learner's copy has the stored pictures of what to expect.
 
 A learner's work is never overwritten: a notebook that is there already stays.
 """
@@ -23,6 +23,8 @@ DOCUMENTATION = "documentation"
 
 _BEGIN = ("### BEGIN SOLUTION", "<!-- BEGIN SOLUTION -->")
 _END = ("### END SOLUTION", "<!-- END SOLUTION -->")
+_COMMENT = re.compile(r"\s*<!--.*?-->", re.DOTALL)
+"""What tests read: which numbers of the outputs the text speaks of."""
 _CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$", re.MULTILINE)
 _PREDICT, _CAME = (re.compile(rf"\b{word}\(\s*\"(\w+)\"") for word in ("predict", "came"))
 _WHOSE = re.compile(r"^\w+: (your code is used\.|the reference's is used: )")
@@ -78,10 +80,12 @@ def without_solutions(notebook: dict[str, Any], *, outputs: bool = False) -> dic
             raise ValueError(f"cell {number} has BEGIN SOLUTION without END SOLUTION")
         if cell["cell_type"] == "code":
             cell |= {"outputs": cell["outputs"] if outputs else [], "execution_count": None}
-        if len(left) < len(lines) and not "".join(left).strip():
-            continue
-        cell["source"] = [*left[:-1], left[-1].rstrip("\n")] if left else []
-        kept.append(cell)
+        text = "".join(left)
+        if cell["cell_type"] == "markdown":
+            text = _COMMENT.sub("", text)
+        if text.strip() or not lines:
+            cell["source"] = text.rstrip("\n").splitlines(keepends=True)
+            kept.append(cell)
     student["cells"] = kept
     return student
 

@@ -111,6 +111,7 @@ class Exercise:
     _solution: Callable[..., Any]
     wrong: tuple[Wrong, ...]
     becomes: Becomes | None = None
+    replaces: tuple[Callable[..., Any], ...] = ()
     hints_given: int = 0
     tries: int = 0
     """Functions of this exercise's name that were judged in this process; unwritten ones do not count."""
@@ -146,6 +147,7 @@ class Exercise:
         try:
             with use_backend("reference") if self.becomes else contextlib.nullcontext():
                 self.judge(attempt)
+            attempt.not_borrowed(self.replaces)
         except NotWritten:
             return verdict(state="not written", detail="the function returns nothing so far")
         except Failed as e:
@@ -209,6 +211,7 @@ def exercise(
     solution: Callable[..., Any],
     wrong: Sequence[Wrong],
     becomes: Becomes | None = None,
+    replaces: Sequence[Callable[..., Any]] = (),
 ) -> Callable[[Callable[[Attempt], None]], Exercise]:
     """Register the decorated judge as the exercise of its name; the first line of its docstring is the title.
 
@@ -220,6 +223,7 @@ def exercise(
         solution: A right answer, which the judge accepts.
         wrong: Plausible wrong answers, which the judge refuses.
         becomes: What the function becomes in the library.
+        replaces: Functions of the library that it must not call.
 
     Raises:
         ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another module uses.
@@ -238,6 +242,7 @@ def exercise(
         _EXERCISES[name] = Exercise(
             name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
             hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong), becomes=becomes,
+            replaces=tuple(replaces),
         )  # fmt: skip
         return _EXERCISES[name]
 

@@ -4,6 +4,7 @@ It runs with a limit of time, and its results become plain values. A chapter goe
 reference's. An accepted function is kept as source code in the course file, because a notebook is a process of its own.
 """
 
+import contextlib
 import copy
 import functools
 import inspect
@@ -24,6 +25,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .. import backends
 from ..drawing.page import fill
 from ..types import Camera
 from .progress import note, now, read_section
@@ -55,16 +57,16 @@ def line_of_error(error: BaseException, function: Callable[..., Any]) -> str:
         if code is not None and trace.tb_frame.f_code.co_filename == code.co_filename:
             line = trace.tb_lineno
         trace = trace.tb_next
-    return "" if code is None or not line else _line_in_words(code.co_filename, line)
+    return "" if code is None or not line else line_in_words(code.co_filename, line)
 
 
 def line_of_definition(function: Callable[..., Any]) -> str:
     """``line 1 of cell 7, `def project(xyz_C):` ``: the first line of a function; its type if it has no code."""
     code = getattr(inspect.unwrap(function), "__code__", None)
-    return type(function).__name__ if code is None else _line_in_words(code.co_filename, code.co_firstlineno)
+    return type(function).__name__ if code is None else line_in_words(code.co_filename, code.co_firstlineno)
 
 
-def _line_in_words(file: str, line: int) -> str:
+def line_in_words(file: str, line: int) -> str:
     """The line, the number in the brackets of its cell, if it is one of the running notebook, and its text."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
@@ -138,6 +140,41 @@ def argument_copy(value: Any) -> Any:
 
 class _TimeIsUp(BaseException):
     """Raised inside a learner's function that takes too long; no ``except Exception`` of theirs catches it."""
+
+
+@contextlib.contextmanager
+def calls_of_library(function: Callable[..., Any]) -> Iterator[list[tuple[int, types.CodeType, Any]]]:
+    """Calls of this package's functions in the learner's file: line, function, result; while the context is open.
+
+    None for a function of the package itself.
+    """
+    calls: list[tuple[int, types.CodeType, Any]] = []
+    code: Any = getattr(inspect.unwrap(function), "__code__", None)
+    usual = sys.getprofile()
+
+    def watch(frame: Any, event: str, value: Any) -> None:
+        if event == "return" and _is_of_library(frame.f_globals.get("__name__", "")):
+            caller = frame.f_back
+            while caller is not None and _passes_on(caller.f_globals.get("__name__", "")):
+                caller = caller.f_back
+            if caller is not None and caller.f_code.co_filename == code.co_filename:
+                calls.append((caller.f_lineno, frame.f_code, value))
+
+    if code is not None and not _is_of_library(str(function.__module__)):
+        sys.setprofile(watch)
+    try:
+        yield calls
+    finally:
+        sys.setprofile(usual)
+
+
+def _is_of_library(module: str) -> bool:
+    return module.partition(".")[0] == __name__.partition(".")[0]
+
+
+def _passes_on(module: str) -> bool:
+    """Whether frames of a module stand between a learner's call and the library's function."""
+    return module == backends.__name__ or module.startswith("jaxtyping")
 
 
 def run_learner(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:

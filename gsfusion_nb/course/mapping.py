@@ -154,7 +154,7 @@ def draw_keyframes(attempt: Attempt) -> None:
     """Indices of random keyframes to revisit."""
 
     def draw(on: str, n: int, count: int, seeds: int = 1) -> list[list[int]]:
-        drawn = attempt.on(on).each([(n, count, torch.Generator().manual_seed(seed)) for seed in range(seeds)])
+        drawn = [attempt.on(on)(n, count, torch.Generator().manual_seed(seed)) for seed in range(seeds)]
         return [[int(i) for i in torch.as_tensor(each).reshape(-1).tolist()] for each in drawn]
 
     on = "2 out of 5, drawn 400 times"

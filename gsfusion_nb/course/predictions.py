@@ -9,13 +9,14 @@ A click records the answer (``progress.py``); after ``came`` it stays. Where wid
 ``predict("first_seeds", answer=3000)``.
 """
 
+import functools
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ..drawing.page import fill
+from ..drawing.stored import Bundle, LiveOutput, static_views
 from .progress import Entries, forgiving, note, now, read_section
 
 Answer = str | float | int
@@ -25,7 +26,7 @@ _unkept: Entries = {}
 """Predictions of this process, for when the file cannot be read or written."""
 
 
-class Prediction:
+class Prediction(LiveOutput):
     """A question with buttons, or with a field for a number. Notebooks show it; ``answer`` records from Python."""
 
     def __init__(self, name: str, question: str, choices: Sequence[Answer], unit: str):
@@ -57,16 +58,12 @@ class Prediction:
         options = f" ({', '.join(_shown(c, self.unit) for c in self.choices)})" if self.choices else ""
         return f"Predict: {self.question}{options}\n  {self.state}"
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         html = fill("prediction.html", prediction=self, options=[_shown(c, self.unit) for c in self.choices])
-        if _stored():
-            return {"text/plain": repr(self), "text/html": html}
-        try:
-            bundle = self._widget()._repr_mimebundle_(**kwargs)
-        except ImportError:
-            return {"text/plain": repr(self), "text/html": html}
-        return {**(bundle or {}), "text/plain": repr(self)}
+        live = {} if static_views() else self._widget._repr_mimebundle_(**kwargs)
+        return live | {"text/plain": repr(self), "text/html": html}, {}
 
+    @functools.cached_property
     def _widget(self) -> Any:
         import ipywidgets as w
 
@@ -89,6 +86,7 @@ class Prediction:
             try:
                 value = change["new"]
                 said.value = self.answer(value if self.choices else float(value.replace(",", ".")))
+                self.store_output()
             except ValueError:
                 said.value = "Please give a number, such as 2.5."
 
@@ -193,8 +191,3 @@ def _note(name: str, **values: Any) -> None:
     _unkept.setdefault(name, {}).update(values)
     with forgiving():
         note(_SECTION, name, **values)
-
-
-def _stored() -> bool:
-    """The notebook is executed to be stored, or quickly: a widget would show nothing."""
-    return os.environ.get("GSNB_VIEW") == "static" or os.environ.get("GSNB_SMOKE", "0") not in ("", "0")

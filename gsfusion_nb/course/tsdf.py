@@ -239,7 +239,7 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
 
 @exercise(
     chapter=2, difficulty=3, minutes=15, solution=_morton,
-    becomes=Becomes("interleave", _as_interleave),
+    becomes=Becomes("interleave", _as_interleave), replaces=(octree.encode, octree.interleave),
     hints=(
         "Bit i of x is (x >> i) & 1. Where must it go?",
         "Bit i of x becomes bit 3 i, of y bit 3 i + 1, of z bit 3 i + 2; collect them with |.",

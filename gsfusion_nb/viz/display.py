@@ -1,7 +1,6 @@
 """Pictures and widgets in a notebook's output: what every panel and viewer uses."""
 
 import json
-import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,23 +20,15 @@ from ..drawing.pictures import error_map as error_map
 from ..drawing.pictures import paint_cells as paint_cells
 from ..drawing.pictures import side_by_side as side_by_side
 from ..drawing.pictures import to_uint8 as to_uint8
+from ..drawing.stored import WIDGET_MIME as WIDGET_MIME
+from ..drawing.stored import Bundle as Bundle
+from ..drawing.stored import LiveOutput as LiveOutput
+from ..drawing.stored import static_views as static_views
+from ..drawing.stored import with_stored as with_stored
 
 if TYPE_CHECKING:
     from IPython.display import Image
     from matplotlib.figure import Figure
-
-Bundle = tuple[dict[str, Any], dict[str, Any]]
-"""What a notebook stores of an output, by MIME type, and words about it."""
-WIDGET_MIME = "application/vnd.jupyter.widget-view+json"
-
-
-def static_views() -> bool:
-    """Whether live views should leave only a picture in the notebook.
-
-    True with ``GSNB_VIEW=static`` (the notebook is executed to be stored: a widget without its kernel shows
-    nothing) and with ``GSNB_SMOKE=1`` (a quick test run).
-    """
-    return os.environ.get("GSNB_VIEW") == "static" or os.environ.get("GSNB_SMOKE", "0") not in ("", "0")
 
 
 def show(
@@ -81,7 +72,7 @@ def show_figure(figure: "Figure", *, width: int = 520, alt: str = "") -> "Image"
 def with_picture(bundle: Any, picture: AnyImage, text: str, *, alt: str = "") -> Bundle:
     """A widget's mime bundle with a picture beside it, for readers of the stored notebook; and its metadata.
 
-    A live notebook shows the widget, a code host the picture. With ``static_views()`` only the picture is kept.
+    With ``static_views()`` only the picture is kept.
 
     Args:
         bundle: The widget's own.
@@ -89,14 +80,7 @@ def with_picture(bundle: Any, picture: AnyImage, text: str, *, alt: str = "") ->
         text: For readers without pictures.
         alt: The picture's description for screen readers; by default ``text``.
     """
-    import base64
-
-    data = dict(bundle) if isinstance(bundle, dict) else {}
-    if static_views():
-        data.pop(WIDGET_MIME, None)
-    data["image/jpeg"] = base64.b64encode(encode_jpeg(picture)).decode("ascii")
-    data["text/plain"] = text
-    return data, {"image/jpeg": {"alt": alt or text}}
+    return with_stored(bundle, "image/jpeg", encode_jpeg(picture), text, {"alt": alt or text})
 
 
 _IMPORT = re.compile(r'^import .* from "[./\w]+\.js";\n', re.MULTILINE)

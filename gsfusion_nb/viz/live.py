@@ -15,7 +15,7 @@ from ..drawing.curves import small_curves
 from ..drawing.pictures import Picture, encode_jpeg
 from ..runs import MappingRun
 from ..types import Frame
-from .display import Bundle, ClickImage, LostNotice, with_picture
+from .display import Bundle, ClickImage, LiveOutput, LostNotice, with_picture
 from .map_pictures import captions_of, columns_for, live_panels, mosaic
 from .player import MIN_INTERVAL_S, Player, Scrubber, error_html, player_buttons, take_the_stage
 from .splat_viewer import SplatViewer
@@ -26,7 +26,7 @@ LOOKS_BACK = 40
 """The slider goes back through at least this many steps, spread evenly; and through all that were drawn."""
 
 
-class LiveView:
+class LiveView(LiveOutput):
     """Buttons, pictures with a slider that goes back, and curves of work that is done step by step in a thread.
 
     Args:
@@ -54,7 +54,7 @@ class LiveView:
         self._width = self._columns * width
         self._next_draw_s, self._shown = 0.0, 0
         self._writing = threading.RLock()
-        self.player = Player(make_steps, on_step=self._on_step, on_rest=self._draw)
+        self.player = Player(make_steps, on_step=self._on_step, on_rest=self.store_output)
         self.lock = self.player.lock
         self.buttons = player_buttons(self.player, f"gsnb-{name}", self.player)
         self.scrubber = Scrubber(self._show_kept, what=what, css_class=f"gsnb-{name}-back")

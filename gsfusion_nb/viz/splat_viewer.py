@@ -23,7 +23,7 @@ from ..geometry.upright import world_up
 from ..render.constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
 from ..types import Camera, GaussianParams, RenderOutput
 from . import splat_rows
-from .display import Bundle, front_end, source, static_views, synced, with_picture
+from .display import Bundle, LiveOutput, front_end, source, static_views, synced, with_picture
 from .map_pictures import PALETTES, Paint, depth_picture, map_picture, palette
 from .splat_rows import Column, GaussianRecord, RowLayout
 from .viewpoint import Vector, places_of, viewing_camera
@@ -51,7 +51,7 @@ _RULES = {
 }
 
 
-class SplatViewer(anywidget.AnyWidget):
+class SplatViewer(LiveOutput, anywidget.AnyWidget):
     """Look at a Gaussian map from every side; the last line of a cell shows it.
 
     Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to reset, click to
@@ -242,11 +242,10 @@ class SplatViewer(anywidget.AnyWidget):
         return f"SplatViewer({len(self._params):,} Gaussians, {self.width}x{self.height})"
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
-        live: Any = super()._repr_mimebundle_(**kwargs)
         self._displayed = self._displayed or not static_views()
         shown = "in their colours" if self.colour_by == "rgb" else f"coloured by {self.colour_by}"
         alt = f"A map of {len(self._params):,} Gaussians, {shown}"
-        return with_picture(live[0] if isinstance(live, tuple) else live, self.picture(), repr(self), alt=alt)
+        return with_picture(super()._repr_mimebundle_(**kwargs), self.picture(), repr(self), alt=alt)
 
     @t.validate("colour_by")
     def _check_colour_by(self, proposal: Any) -> str:

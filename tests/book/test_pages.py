@@ -93,3 +93,9 @@ def test_the_reference_lists_the_public_names_of_a_room():
     page = api_page("tsdf", ROOT / "gsfusion_nb")
     assert "autofunction:: gsfusion_nb.tsdf.tsdf_update" in page
     assert "autofunction:: gsfusion_nb.backends.use_backend" in api_page("backends", ROOT / "gsfusion_nb")
+
+
+def test_the_first_page_leads_to_the_first_chapter():
+    root = Path(__file__).resolve().parents[2]
+    text = (root / "docs/book/index.md").read_text(encoding="utf-8")
+    assert "(notebooks/00_quickstart.md)" in in_the_book(text, "index.md", places_of(root))

@@ -69,6 +69,30 @@ def test_a_table_of_results_is_sorted_by_a_heading(open_file, tmp_path):
     assert page.locator("th[aria-sort]").get_attribute("aria-sort") == "ascending"
 
 
+@pytest.mark.parametrize("name", ["index", "notebooks/00_quickstart"])
+def test_the_map_turns_until_it_is_dragged(opened, name):
+    page = opened(name)
+    canvas = page.locator(".gsnb-moving-map .gsnb-splat-software")
+    page.wait_for_function("document.querySelector('.gsnb-splat-status')?.textContent.includes('Gaussians in view')")
+    look = lambda: canvas.evaluate("c => c.toDataURL()")  # noqa: E731
+    before = look()
+    page.wait_for_timeout(2000)
+    assert look() != before
+    box = page.locator(".gsnb-splat-scene").bounding_box()
+    page.mouse.move(box["x"] + 200, box["y"] + 150)
+    page.mouse.down()
+    page.mouse.up()
+    page.wait_for_timeout(2000)
+    at_rest = look()
+    page.wait_for_timeout(1000)
+    assert look() == at_rest
+    page.mouse.down()
+    page.mouse.move(box["x"] + 260, box["y"] + 160, steps=4)
+    page.mouse.up()
+    page.wait_for_timeout(2000)
+    assert look() != at_rest
+
+
 @pytest.mark.parametrize("chapter", CHAPTERS)
 def test_a_chapter_opens_at_every_width(opened, chapter):
     page = opened(f"notebooks/{chapter}", viewport={"width": 390, "height": 800})
@@ -121,6 +145,7 @@ def test_the_search_finds_a_word(opened):
     page = opened("search")
     page.goto(page.url + "?q=quadtree")
     page.wait_for_selector("ul.search li a")
+    assert page.locator("ul.search li a").first.get_attribute("href").startswith("notebooks/")
     assert page.locator("ul.search li").count() > 3
 
 

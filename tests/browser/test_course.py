@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from quick_run import on_one_thread, quick
 
 from gsfusion_nb.course.copies import without_solutions
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
-QUICK = 'SMOKE = os.environ.get("GSNB_SMOKE", "0") == "1"'
 NOTEBOOK = Path(__file__).resolve().parents[2] / "notebooks" / "03_quadtree_decomposition.ipynb"
 
 WRONG = """
@@ -32,9 +32,7 @@ def students_copy():
     import nbformat
 
     notebook = without_solutions(json.loads(NOTEBOOK.read_text(encoding="utf-8")))
-    text = json.dumps(notebook).replace(json.dumps(QUICK)[1:-1], "import torch; torch.set_num_threads(1); SMOKE = True")
-    assert "SMOKE = True" in text
-    return nbformat.reads(text, as_version=4)
+    return nbformat.from_dict(on_one_thread(quick(notebook)))
 
 
 @pytest.fixture(scope="module")

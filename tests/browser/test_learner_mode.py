@@ -55,7 +55,7 @@ def test_the_notebook_says_whose_code_is_used_and_names_the_line(project_lab, pa
 def test_a_prediction_is_recorded_by_a_click(project_lab, page):
     page.locator(".gsnb-prediction-answer button", has_text="3,000").first.click()
     project_lab.wait_for(
-        lambda: "You predicted 3,000" in page.locator(".gsnb-prediction").inner_text(), "the answer", 60
+        lambda: "You predicted 3,000" in page.locator(".gsnb-prediction").first.inner_text(), "the answer", 60
     )
     project_lab.screenshot(page.locator(".jp-Cell").nth(1), "prediction")
     shown = project_lab.run(page, 'print(came("browser_seeds", 2890))')

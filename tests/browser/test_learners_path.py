@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+from quick_run import on_one_thread, quick
 
 from gsfusion_nb.course import exercises
 from gsfusion_nb.course.copies import learner_copy
@@ -16,7 +17,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationW
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 CHAPTERS = (2, 3, 4, 5, 6)
-QUICK = 'SMOKE = os.environ.get("GSNB_SMOKE", "0") == "1"'
 
 CELL = """words => {
     const notebook = window.jupyterapp.shell.currentWidget.content;
@@ -37,9 +37,7 @@ def chapter(number, solutions_in):
     assert set(solutions) == {e.name for e in exercises().values() if e.chapter == number}
     edition = json.dumps(learner_copy(notebook))
     assert not any(json.dumps(source)[1:-1] in edition for source in solutions.values())
-    quick = edition.replace(json.dumps(QUICK)[1:-1], "import torch; torch.set_num_threads(1); SMOKE = True")
-    assert quick != edition
-    return solutions, nbformat.reads(quick, as_version=4)
+    return solutions, nbformat.from_dict(on_one_thread(quick(json.loads(edition))))
 
 
 def type_into(page, name, solution):

@@ -38,3 +38,45 @@ def test_views_work_after_a_reload_and_say_what_to_do_after_a_restart(lab):
     lab.screenshot(page.locator(".gsnb-one-gaussian").first, "lost_kernel")
     assert lab.errors == []
     page.close()
+
+
+REOPENED = [
+    CELLS[0],
+    *CELLS[1:],
+    """
+from gsfusion_nb.course import predict
+predict("reopened", "Which side?", ["left", "right"])
+""",
+    """
+from gsfusion_nb.viz import compositing_stepper
+scene = random_scene(40, 64, 48)
+compositing_stepper(scene.params, scene.camera, scene.T_WC, (32, 24))
+""",
+]
+
+
+def test_what_was_stored_is_shown_when_a_notebook_is_opened_again(lab):
+    page = lab.open(REOPENED)
+    page.locator(".gsnb-one-gaussian-image img").wait_for(timeout=60_000)
+    stored = page.locator(".gsnb-stored")
+    lab.wait_for(
+        lambda: stored.count() == 4 and not any(s.is_visible() for s in stored.all()), "nothing stored is seen"
+    )
+    lab.screenshot(page.locator(".jp-Notebook"), "reopened_0_live")
+    page.get_by_role("button", name="left").click()
+    page.get_by_text("You predicted left.").first.wait_for()
+    page.evaluate("window.jupyterapp.commands.execute('docmanager:save')")
+    lab.wait_for(lambda: page.evaluate("!window.jupyterapp.shell.currentWidget.context.model.dirty"), "the file")
+    page.evaluate("window.jupyterapp.shell.currentWidget.sessionContext.shutdown()")
+    page.reload()
+    lab.wait_for(lambda: page.evaluate(IDLE), "the new kernel")
+    lab.wait_for(lambda: stored.count() == 4 and all(s.is_visible() for s in stored.all()), "what was stored")
+    page.wait_for_timeout(4000)  # JupyterLab looks for lost models for two seconds
+    assert all(s.is_visible() for s in stored.all())
+    assert not page.get_by_text("Error displaying widget").first.is_visible()
+    assert stored.get_by_text("You predicted left.").is_visible()
+    for picture in stored.locator("img").all():
+        assert picture.evaluate("i => i.naturalWidth") > 100
+    lab.screenshot(page.locator(".jp-Notebook"), "reopened_1_stored")
+    lab.errors.clear()
+    page.close()

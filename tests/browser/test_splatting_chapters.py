@@ -7,7 +7,7 @@ import pytest
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
-LONG_FIT = {"STEPS = 40 if": "STEPS = 100_000 if"}
+LONG_FIT = {"STEPS = 40 ": "STEPS = 100_000 "}
 """The fit shall not finish under our hands."""
 
 

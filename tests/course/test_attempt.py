@@ -9,6 +9,8 @@ from gsfusion_nb.course import check
 from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten
 from gsfusion_nb.course.exercise import Wrong, exercise, exercises
 from gsfusion_nb.course.progress import read_section
+from gsfusion_nb.geometry import backproject
+from gsfusion_nb.tsdf.octree import encode
 
 
 def double(x):
@@ -210,3 +212,18 @@ def test_no_answer_makes_a_checker_raise(name):
         lambda v: (w for w in [v]),
     ):
         assert exercises()[name](lambda *a, spoil=spoil, **k: spoil(solution(*a, **k))).state == "failed"
+
+
+def test_an_answer_of_the_library_gets_a_sentence_and_no_mark():
+    def morton_code(x, y, z):
+        code = encode(torch.tensor([[x, y, z], [0, 0, 0]]))
+        return int(code[0] ^ code[1])
+
+    def lift_pixels(camera, uv, depth_m):
+        return backproject(camera, uv, depth_m).numpy()
+
+    for name, function in (("morton_code", morton_code), ("lift_pixels", lift_pixels)):
+        verdict = check.__getattr__(name)(function)
+        assert verdict.prop == "it computes the answer itself"
+        assert "a function of the library gave the answer in line" in verdict.detail
+    assert "backproject(camera" in verdict.detail

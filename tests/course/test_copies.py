@@ -128,3 +128,11 @@ def test_a_notebook_that_is_there_stays(tmp_path):
     (target / "01_x.ipynb").write_text("mine")
     assert hand_out(source, target) == []
     assert (target / "01_x.ipynb").read_text() == "mine"
+
+
+def test_no_copy_shows_the_comments_of_tests():
+    for path in NOTEBOOKS:
+        whole = json.loads(path.read_text(encoding="utf-8"))
+        for copied in (learner_copy(whole), without_solutions(whole)):
+            texts = ["".join(cell["source"]) for cell in copied["cells"] if cell["cell_type"] == "markdown"]
+            assert not any("<!--" in text for text in texts), path.name

@@ -46,18 +46,18 @@ def test_an_answer_that_was_not_asked_for_is_refused(choices, answer):
 
 def test_the_widget_records_and_a_stored_notebook_has_none(monkeypatch):
     asked = predict("gain", "Is 1 < 2?", ["yes", "<b>no</b>"])
-    question, buttons, said = asked._widget().children
+    question, buttons, said = asked._widget.children
     assert "1 &lt; 2" in question.value
     buttons.value = "yes"
     assert said.value == "You predicted yes."
-    assert asked._widget().children[1].value == "yes"
-    number = predict("number", "How many?", unit="dB")._widget().children
+    assert asked._widget.children[1].value == "yes"
+    number = predict("number", "How many?", unit="dB")._widget.children
     number[1].value = "two"
     assert "Please give a number" in number[2].value
     number[1].value = "2,5"
     assert number[2].value == "You predicted 2.5 dB."
     monkeypatch.setenv("GSNB_VIEW", "static")
-    bundle = asked._repr_mimebundle_()
+    bundle = asked._repr_mimebundle_()[0]
     assert set(bundle) == {"text/plain", "text/html"}
     assert "&lt;b&gt;no" in bundle["text/html"]
 

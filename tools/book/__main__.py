@@ -15,6 +15,7 @@ from quiz import Question, bank, by_chapter
 
 from .assemble import ARCHIVE, Assembly
 from .chapters import places_of
+from .moving_map import moving_map
 
 log = logging.getLogger(__name__)
 
@@ -56,6 +57,7 @@ def _write_static(folder: Path) -> None:
     folder.mkdir(parents=True)
     for file in (Path(__file__).parent / "static").iterdir():
         (folder / file.name).write_bytes(file.read_bytes())
+    (folder / "moving_map.js").write_text(moving_map(), encoding="utf-8")
     mathjax = Path(str(files("mathjax").joinpath("static/mathjax/es5")))
     for name in _MATHJAX:
         target = folder / "mathjax" / name

@@ -12,10 +12,14 @@ from pathlib import Path
 
 from quiz import INTRODUCTION, PROMPT, Question
 
+from gsfusion_nb.course.copies import FIRST
 from gsfusion_nb.course.course import TITLES
 from gsfusion_nb.files import read_object
 
 from .chapters import Chapter, Places, in_the_book, raw
+
+MOVING_MAP = '<div class="gsnb-moving-map"></div><script defer src="../_static/moving_map.js"></script>'
+"""At the top of the first chapter: ``moving_map.py``."""
 
 
 def opening_bar(notebook: str) -> str:
@@ -136,7 +140,7 @@ class Assembly:
 
     def _chapter(self, path: str) -> None:
         notebook = self.places.root / path
-        bar = opening_bar(path)
+        bar = (MOVING_MAP if path.endswith(FIRST) else "") + opening_bar(path)
         chapter = Chapter(read_object(notebook, "a notebook"), path, self.places, bar=bar)
         self._put(self.pages / f"{path.removesuffix('.ipynb')}.md", chapter.markdown())
         for address, content in chapter.files.items():

@@ -127,6 +127,13 @@ def picture_html(address: str, content: bytes, metadata: Mapping[str, Any], suff
     )
 
 
+_ATTACHED = re.compile(r"!\[[^\]]*\]\(attachment:[^)]*\)\s*")
+"""A picture that a text cell holds; the book has the map itself in its place."""
+_DRAWING = ("show", "show_figure", "show_mesh")
+"""A cell that ends in one of these is there for its picture."""
+_STILL = (
+    '<p class="gsnb-still">A stored picture. Its buttons and sliders are in the notebook: <code>make lab</code></p>'
+)
 _SOLUTION = re.compile(r"^### (BEGIN|END) SOLUTION\n*", re.MULTILINE)
 _EMPTY = re.compile(r"^def (\w+)\(", re.MULTILINE)
 
@@ -159,7 +166,7 @@ class Chapter:
     def _text(self, cell: Mapping[str, Any]) -> str:
         if self._came:  # the outputs between what came and the next text wait for the prediction, too
             self._asked, self._came = "", False
-        text = in_the_book("".join(cell["source"]), self.page, self.places)
+        text = in_the_book(_ATTACHED.sub("", "".join(cell["source"])), self.page, self.places)
         return numbered(text, str(int(self.stem[:2])), lambda: next(self._equations))
 
     def _code(self, cell: Mapping[str, Any]) -> str:
@@ -182,8 +189,11 @@ class Chapter:
             return raw(f'<div class="gsnb-came" data-prediction="{asked}" data-right="{right}">{"".join(shown)}</div>')
         later = f' data-prediction="{asked}"' if asked and shown else ""
         below = f'<div class="gsnb-outputs"{later}>{"".join(shown)}</div>' if shown else ""
-        cell_begins = raw(f'<div class="gsnb-cell" id="{cell["id"]}">')
-        return f"{cell_begins}\n{_python(source)}\n{raw(f'{below}</div>{_hints(source)}')}"
+        begins, ends = f'<div class="gsnb-cell" id="{cell["id"]}">', f"{below}</div>{_hints(source)}"
+        folded = cell["metadata"].get("jupyter", {}).get("source_hidden") or (call and _called(call) in _DRAWING)
+        if folded:
+            begins, ends = f'{begins}<details class="gsnb-code"><summary>Code</summary>', f"</details>{ends}"
+        return f"{raw(begins)}\n{_python(source)}\n{raw(ends)}"
 
     def _outputs(self, cell: Mapping[str, Any]) -> list[str]:
         """HTML of each output of a cell; what it printed in a row is one."""
@@ -203,7 +213,8 @@ class Chapter:
             if kind in data:
                 address = f"{self.stem}_files/{name}.{suffix}"
                 self.files[address] = base64.b64decode("".join(data[kind]))
-                return picture_html(address, self.files[address], metadata.get(kind, {}), suffix)
+                still = "" if "".join(data.get("text/plain", "<IPython")).startswith("<IPython") else _STILL
+                return picture_html(address, self.files[address], metadata.get(kind, {}), suffix) + still
         return _printed("".join(data.get("text/plain", output.get("traceback", ""))))
 
 

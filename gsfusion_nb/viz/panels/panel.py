@@ -16,7 +16,7 @@ import numpy as np
 
 from ...drawing.pictures import LABEL_PX, Picture
 from ...types import Camera
-from ..display import Bundle, ClickImage, LostNotice, Stroke, with_picture
+from ..display import Bundle, ClickImage, LiveOutput, LostNotice, Stroke, with_picture
 
 Number = float | int
 
@@ -61,7 +61,7 @@ Touch = Callable[[Stroke, dict[str, Any]], Mapping[str, Any]]
 """A drag in pixels of the picture, and the controls' values when it began -> the values that change."""
 
 
-class Panel:
+class Panel(LiveOutput):
     """Shows ``draw(**values)`` and draws again when a control moves. The last line of a cell shows it.
 
     ``draw`` is called in the thread in which the notebook handles the control, one call at a time, always with the

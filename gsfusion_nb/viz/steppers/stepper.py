@@ -16,7 +16,7 @@ from markupsafe import Markup
 from ...drawing.curves import BETWEEN, figure_picture
 from ...drawing.page import html_table
 from ...drawing.pictures import encode_rgba
-from ..display import WIDGET_MIME, source, static_views, synced
+from ..display import Bundle, LiveOutput, source, synced, with_stored
 from .recording import Line, file_lines
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ Draw = Callable[["Figure", Any], None]
 """Draws the scene of a step into an empty figure."""
 
 
-class Stepper(anywidget.AnyWidget):
+class Stepper(LiveOutput, anywidget.AnyWidget):
     """Shows one step at a time: its line of code, a picture, its numbers. Buttons, arrow keys and a slider move.
 
     ``step`` is the number of the step, from 0; ``steps`` are all of them.
@@ -116,21 +116,13 @@ class Stepper(anywidget.AnyWidget):
             self.numbers = html_table(now.numbers, heads=now.heads)
             self.shown += 1
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
-        import base64
-
-        bundle = super()._repr_mimebundle_(**kwargs)
-        data, metadata = bundle if isinstance(bundle, tuple) else (bundle, {})
-        data = dict(data or {})
-        if static_views():
-            data.pop(WIDGET_MIME, None)
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         stills = [self.steps[k] for k in sorted({round(i * (self.count - 1) / 3) for i in range(1, 4)})]
         still = self._stored(stills)
-        data["image/png"] = base64.b64encode(_palette_png(still)).decode("ascii")
-        data["text/plain"] = f"{self.label}: {self.count} steps"
         alt = f"{self.label}, steps of {self.count}: {'; '.join(step.title for step in stills)}"
-        shown = {"width": round(still.shape[1] / SHARPNESS), "alt": alt}
-        return data, dict(metadata or {}) | {"image/png": shown}
+        words = {"width": round(still.shape[1] / SHARPNESS), "alt": alt}
+        text = f"{self.label}: {self.count} steps"
+        return with_stored(super()._repr_mimebundle_(**kwargs), "image/png", _palette_png(still), text, words)
 
     def _stored(self, steps: Sequence[Step]) -> np.ndarray:
         """Some steps below each other, each with its title, line and numbers: what a notebook stores."""

@@ -32,19 +32,26 @@ CELL_WATCH = {
     }
 }
 
+CLEAR = 0.1
+"""A vertex nearer to a corner of its cell, in voxels, makes triangles that look like a mistake."""
+
 
 def row_of_cells(volume: TsdfVolume, cells: int = 1) -> Voxel:
     """The lowest corner of ``cells`` cells beside each other along x with many triangles each, but no more than four.
 
-    A smooth surface cuts a cell in up to four triangles; more are at edges and in noise.
+    A smooth surface cuts a cell in up to four triangles; more are at edges and in noise. Cells with a vertex near a
+    corner are left out.
 
     Raises:
         ValueError: the surface of the volume has no such row.
     """
     mesh = extract_mesh(volume)
-    middle = mesh.vertices_W.double()[mesh.faces].mean(1) / volume.config.voxel_size_m - 0.5
-    place, count = middle.floor().long().unique(dim=0, return_counts=True)
-    triangles = {tuple(xyz): int(n) for xyz, n in zip(place.tolist(), count.tolist(), strict=True)}
+    corners = mesh.vertices_W.double()[mesh.faces] / volume.config.voxel_size_m - 0.5
+    place, cell, count = corners.mean(1).floor().long().unique(dim=0, return_inverse=True, return_counts=True)
+    apart = (corners - corners.round()).abs().amax(-1).amin(-1)  # of a triangle's vertices from the cell's corners
+    smallest = apart.new_full((len(place),), torch.inf).scatter_reduce(0, cell, apart, "amin")
+    clear = [n if a > CLEAR else 5 for n, a in zip(count.tolist(), smallest.tolist(), strict=True)]
+    triangles = dict(zip(map(tuple, place.tolist()), clear, strict=True))
 
     def of_row(start: Voxel) -> list[int]:
         return [triangles.get((start[0] + k, start[1], start[2]), 0) for k in range(cells)]
