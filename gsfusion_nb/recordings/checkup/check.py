@@ -72,11 +72,9 @@ def check_recording(
 
     trials.pairs = [(sequence.positions[a], sequence.positions[b]) for a, b in pairs]
     found, more, reader, graphs = _examine(sample, pairs, hint, posed, trials)
-    together = ""
-    if posed:
-        registered = _opened(sequence_or_path, {**reader_options, **reader})[0] if reader else None
-        found, more, together = trials.judged(found, more, registered)
-        reader = reader if any(f.repair == reader_flags(reader) for f in found) else {}
+    registered = _opened(sequence_or_path, {**reader_options, **reader})[0] if reader else None
+    found, more, together = trials.judged(found, more, registered) if posed else (found, more, "")
+    reader = reader if any(f.repair == reader_flags(reader) for f in found) else {}
     mended = combined(given, more)
     again = apply_options(base, replace(mended, hold_out_every=0)) if more != DataConfig() and posed else None
     return replace(
