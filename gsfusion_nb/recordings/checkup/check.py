@@ -72,11 +72,9 @@ def check_recording(
 
     trials.pairs = [(sequence.positions[a], sequence.positions[b]) for a, b in pairs]
     found, more, reader, graphs = _examine(sample, pairs, hint, posed, trials)
-    together = ""
-    if posed:
-        registered = _opened(sequence_or_path, {**reader_options, **reader})[0] if reader else None
-        found, more, together = trials.judged(found, more, registered)
-        reader = reader if any(f.repair == reader_flags(reader) for f in found) else {}
+    registered = _opened(sequence_or_path, {**reader_options, **reader})[0] if reader else None
+    found, more, together = trials.judged(found, more, registered) if posed else (found, more, "")
+    reader = reader if any(f.repair == reader_flags(reader) for f in found) else {}
     mended = combined(given, more)
     again = apply_options(base, replace(mended, hold_out_every=0)) if more != DataConfig() and posed else None
     return replace(
@@ -123,6 +121,7 @@ def _examine(
         colour, reader, related = RepairConfig(), hint, True
         colour_findings[0] = replace(colour_findings[0], repair=reader_flags(hint))
     if posed and related:
+        pairs = [pair for pair in pairs if sample.by_place.keys() >= {*pair}]
         far = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
         data = FitData.of(sample, far, e.interpretation)
         last.append(exposure_finding(over, gains(sample, far, data, e.correction)[0]))
@@ -132,9 +131,8 @@ def _examine(
         name, factor = ("depth_max_m", 0.99) if high else ("depth_min_m", 1.01)
         limits = replace(limits, **{name: round(factor * value_m * repair.depth_factor, 4)})
     code_finding = replace(code_finding, repair=flags_of(limits))
-    skip = tuple(sorted({*skip, *piece.repair.skip}))
     data = combined(DataConfig(repair=repair), DataConfig(repair=colour))
-    data = combined(combined(data, limits), replace(piece, repair=RepairConfig(skip=skip)))
+    data = combined(combined(data, limits), combined(piece, DataConfig(repair=RepairConfig(skip=skip))))
     coverage = missing_finding(sample.frames)
     findings = [first, coverage, code_finding, *about, *colour_findings, *images, *last]
     return findings, data, reader, graphs

@@ -113,8 +113,7 @@ def gains(
         good = (a > low) & (a < high) & (b > low) & (b < high)
         if good.sum() >= 30:
             stops[j] = float(np.median(np.log2(b[good] / a[good])))
-            same = np.abs(b / 2 ** stops[j] - a) < _SAME_GREY
-            shares[j] = float(same.sum()) / int((data.depth_a[j] > 0).sum())
+            shares[j] = (np.abs(b / 2 ** stops[j] - a) < _SAME_GREY).sum() / int((data.depth_a[j] > 0).sum())
     return stops, errors, shares
 
 

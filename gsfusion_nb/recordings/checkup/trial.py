@@ -98,8 +98,7 @@ class Trials:
             place = {number: i for i, number in enumerate(sequence.positions)}
             pairs = [(place[a], place[b]) for a, b in among if a in place and b in place]
             sample = read_sample(sequence, at=sorted({*itertools.chain(*pairs)}))
-            there = sample.by_place
-            pairs = [(a, b) for a, b in pairs if a in there and b in there]
+            pairs = [pair for pair in pairs if sample.by_place.keys() >= {*pair}]
             self._known[key] = Trial(0.0, 0.0)
             if pairs:
                 shares = gains(sample, pairs, FitData.of(sample, pairs, RepairConfig()), CalibrationCorrection())[2]

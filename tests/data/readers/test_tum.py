@@ -131,6 +131,10 @@ def test_unknown_camera(tmp_path, box):
     with pytest.raises(SequenceError, match="no TUM camera 'freiburg9'; known: freiburg1"):
         tum(root, camera="freiburg9")
     assert tum(root, camera="freiburg3").camera.fx == 535.4
+    other = write(tmp_path / "freiburg1_office", box)
+    (other / "calibration.txt").write_text("500 500 320 240\n")
+    with pytest.raises(SequenceError, match="it has a calibration file"):
+        tum(other)
 
 
 def test_frames_without_colour_or_pose_are_dropped(tmp_path, box, caplog):

@@ -131,7 +131,9 @@ def test_few_or_damaged_frames(broken):
     assert "29 of 30 frames" in str(report)
     for f in files:
         f.write_bytes(b"")
-    assert check_recording(recording.root, poses=False).frames_read == 0
+    report = check_recording(recording.root, poses=False)
+    assert report.frames_read == 0
+    assert report.flags == "--reader poses=false"
 
 
 @pytest.mark.slow

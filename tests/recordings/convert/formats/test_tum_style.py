@@ -52,6 +52,9 @@ def test_without_poses_or_intrinsics_says_what_to_give(tmp_path, takes):
         convert(root, tmp_path / "out", options=ConvertOptions(poses="none"))
     assert not (tmp_path / "out").exists()
     assert not (tmp_path / ".out.partial").exists()
+    named = root.rename(tmp_path / "freiburg1_small")  # another camera's images, by their size
+    with pytest.raises(SequenceError, match=r"does not contain the camera's intrinsics; give --intrinsics"):
+        convert(named, tmp_path / "out", options=ConvertOptions(poses="none"))
 
 
 def untimed(root, takes, line, *, names=("rgb{}", "depth{}")):
