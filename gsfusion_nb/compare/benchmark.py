@@ -25,20 +25,11 @@ from .studies import RecordingOptions, recording_specs
 DEEPEST = 3
 """Scenes are looked for in so many levels of folders."""
 COLUMNS = {
-    "psnr": ("PSNR, dB", ".2f"), "ssim": ("SSIM", ".3f"), "lpips": ("LPIPS", ".3f"), "ate": ("ATE RMSE, cm", ".2f"),
-    "fps": ("frames/s", ".2f"), "mb": ("MB", ".1f"),
+    "psnr": ("PSNR, dB", ".2f", "psnr_{}_db", 1), "ssim": ("SSIM", ".3f", "ssim_{}", 1),
+    "lpips": ("LPIPS", ".3f", "lpips_{}", 1), "ate": ("ATE RMSE, cm", ".2f", "ate_rmse_m", 100),
+    "fps": ("frames/s", ".2f", "fps_mean_inverse", 1), "mb": ("MB", ".1f", "model_size_mb", 1),
 }  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class Published:
-    """A system in a table of a paper; means over the scenes."""
-
-    system: str
-    source: str
-    """The paper and its table."""
-    numbers: Mapping[str, float]
-    """Column -> value: psnr (dB), ssim, lpips, ate (cm), fps, mb. Empty if none is known."""
+"""Column -> heading, format, our metric with {} for the group of views, and factor to the unit shown."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,18 +49,11 @@ class DataSet:
     protocol: Sequence[str]
     """Sentences: which frames are mapped, which are scored, and what cannot be compared."""
     reader: Mapping[str, Any] = field(default_factory=dict)
-    published: Sequence[Published] = ()
+    published: Sequence[Mapping[str, Any]] = ()
+    """Rows of papers, means over the scenes: system, source (paper and table), numbers (column -> value)."""
 
 
-def _read_data_sets() -> dict[str, DataSet]:
-    found = read_packaged(Path(__file__).with_suffix(".toml"))
-    return {
-        name: DataSet(**values | {"published": [Published(**row) for row in values.get("published", ())]})
-        for name, values in found.items()
-    }
-
-
-DATA_SETS = _read_data_sets()
+DATA_SETS = {name: DataSet(**values) for name, values in read_packaged(Path(__file__).with_suffix(".toml")).items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,10 +105,8 @@ def scenes_in(folder: Path, format: str) -> dict[str, Path]:
         if len(inside.parts) == DEEPEST:
             below.clear()
     if not found:
-        raise FileNotFoundError(
-            f"{folder} holds no scene in the layout {format}; expected a folder with {', '.join(layout.looks_for)}, in "
-            f"it or up to {DEEPEST} folders below"
-        )
+        expected = f"expected a folder with {', '.join(layout.looks_for)}, in it or up to {DEEPEST} folders below"
+        raise FileNotFoundError(f"{folder} holds no scene in the layout {format}; {expected}")
     return dict(sorted(found.items()))
 
 
@@ -158,14 +140,14 @@ def report(asked: DataSet, results: Sequence[RunResult], changed: Mapping[str, A
         changed: Settings that the user gave.
         unread: Sentences about scenes that cannot be read.
     """
-    heads = ["system", *(name for name, _ in COLUMNS.values()), "source"]
+    heads = ["system", *(heading for heading, *_ in COLUMNS.values()), "source"]
     rows, cards = [], []
     for label in dict.fromkeys(r.spec.label for r in results):
         own = [r for r in results if r.spec.label == label and r.status == "done"]
         if own:
             rows.append([f"**{label}, here**", *_cells(_means(own, asked.views)), f"{_count(own, asked)} scenes"])
             cards.append(_card(label, own, asked, changed))
-    rows += [[row.system, *_cells(row.numbers), row.source] for row in asked.published]
+    rows += [[row["system"], *_cells(row["numbers"]), row["source"]] for row in asked.published]
     here = {r.spec.scene for r in results}
     absent = [name for name in asked.scenes if not any(name in scene for scene in here)]
     said = [*asked.protocol, *([f"Scenes of the papers that are not here: {', '.join(absent)}."] if absent else [])]
@@ -177,20 +159,17 @@ def report(asked: DataSet, results: Sequence[RunResult], changed: Mapping[str, A
 
 def _means(own: Sequence[RunResult], views: str) -> dict[str, float]:
     """Column -> mean over the scenes of the mean over the seeds."""
-    metrics = {
-        "psnr": (f"psnr_{views}_db", 1), "ssim": (f"ssim_{views}", 1), "lpips": (f"lpips_{views}", 1),
-        "ate": ("ate_rmse_m", 100), "fps": ("fps_mean_inverse", 1), "mb": ("model_size_mb", 1),
-    }  # fmt: skip
     found = {}
-    for column, (metric, scale) in metrics.items():
-        means = [summary.mean for group in group_runs(own) if (summary := group.summary(metric)).n]
+    for column, (_, _, metric, scale) in COLUMNS.items():
+        summaries = [group.summary(metric.format(views)) for group in group_runs(own)]
+        means = [summary.mean for summary in summaries if summary.n]
         if means:
             found[column] = scale * sum(means) / len(means)
     return found
 
 
 def _cells(numbers: Mapping[str, float]) -> list[str]:
-    return [format(numbers[column], form) if column in numbers else "–" for column, (_, form) in COLUMNS.items()]
+    return [format(numbers[column], form) if column in numbers else "–" for column, (_, form, *_) in COLUMNS.items()]
 
 
 def _count(own: Sequence[RunResult], asked: DataSet) -> str:

@@ -23,6 +23,7 @@ from .glb import check_gaussians, linear_rgb
 
 APERTURE = 20.955
 """Width of the film, as USD has it by default; only the ratios of the other lengths to it count."""
+_OF_POINTS = ' (\n            interpolation = "vertex"\n        )'
 ROWS = 100_000
 """Rows of an array that are turned into text at a time."""
 
@@ -87,7 +88,7 @@ def _splats(g: GaussianParams) -> Iterator[str]:
     yield f"        uniform int radiance:sphericalHarmonicsDegree = {degree}\n"
     yield from _array("float3[] radiance:sphericalHarmonicsCoefficients", g.sh.flatten(0, 1))
     colour = torch.from_numpy(linear_rgb(g.sh[:, 0].double() * SH_C0 + 0.5))  # for programs that do not know splats
-    yield from _array("color3f[] primvars:displayColor", colour, ' (\n            interpolation = "vertex"\n        )')
+    yield from _array("color3f[] primvars:displayColor", colour, _OF_POINTS)
     yield "    }\n"
 
 
@@ -99,29 +100,21 @@ def _surface(mesh: Mesh) -> Iterator[str]:
     yield from _array("point3f[] points", mesh.vertices_W)
     yield from _array("int[] faceVertexCounts", torch.full((len(mesh.faces),), 3))
     yield from _array("int[] faceVertexIndices", mesh.faces.flatten())
-    yield from _array("color3f[] primvars:displayColor", colour, ' (\n            interpolation = "vertex"\n        )')
+    yield from _array("color3f[] primvars:displayColor", colour, _OF_POINTS)
     yield "    }\n"
 
 
 def _camera(camera: Camera, poses: Float[Tensor, "F 4 4"], times_s: Sequence[float]) -> Iterator[str]:
     """USD's cameras look along -z with y up; a ray of pixel (u, v) goes through the film at distance focalLength."""
-    focal = APERTURE * camera.fx / camera.width
-    unit = focal / torch.tensor([camera.fx, camera.fy], dtype=torch.float64)  # of a pixel on the film
-    height, right, above = (
-        float(v)
-        for v in (
-            unit[1] * camera.height,
-            unit[0] * (camera.width / 2 - camera.cx),
-            unit[1] * (camera.cy - camera.height / 2),
-        )
-    )
+    c, focal = camera, APERTURE * camera.fx / camera.width
+    across, along = focal / c.fx, focal / c.fy  # of a pixel on the film
     T_usd = poses.double().cpu() @ torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
     yield '\n    def Camera "Camera"\n    {\n        token projection = "perspective"\n'
     yield "        float2 clippingRange = (0.01, 1000)\n"
-    for name, value in (
-        ("focalLength", focal), ("horizontalAperture", APERTURE), ("verticalAperture", height),
-        ("horizontalApertureOffset", right), ("verticalApertureOffset", above),
-    ):  # fmt: skip
+    lengths = {"focalLength": focal, "horizontalAperture": APERTURE, "verticalAperture": along * c.height}
+    lengths |= {"horizontalApertureOffset": across * (c.width / 2 - c.cx)}
+    lengths |= {"verticalApertureOffset": along * (c.cy - c.height / 2)}
+    for name, value in lengths.items():
         yield f"        float {name} = {value:.9g}\n"
     yield "        matrix4d xformOp:transform.timeSamples = {\n"
     for time_s, T in zip(times_s, T_usd, strict=True):

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -45,7 +45,7 @@ class TrackingLostError(ValueError):
     """No pose of this frame fits the model; the message lists what was tried and why it failed."""
 
 
-Relocaliser = Callable[[Frame], list[tuple[Tensor, ExtraRows | None]]]
+Relocaliser = Callable[[Frame], Sequence[tuple[Tensor, ExtraRows | None]]]
 """Returns possible poses ``T_WC`` [4, 4] of a frame by its appearance, the most likely first, and the further rows for
 ICP of the landmarks that agree with it, if there are any."""
 

@@ -14,12 +14,11 @@ from gsfusion_nb.optim.losses import RgbdLoss
 from gsfusion_nb.optim.losses import rgbd_l1_vjp as reference
 
 from ..runtime.triton.launch import device_of, launch, load3, parts, store3
-from . import host
-from .host import is_float32, limit_m, to_loss
 
 _BLOCK = 1024
-_COLOUR_VALUES, _DEPTH_PIXELS = tl.constexpr(host.COLOUR_VALUES), tl.constexpr(host.DEPTH_PIXELS)
-_COLOUR_SUM, _DEPTH_SUM, _N_SUMS = (tl.constexpr(n) for n in (host.COLOUR_SUM, host.DEPTH_SUM, host.N_SUMS))
+_COLOUR_VALUES, _DEPTH_PIXELS, _COLOUR_SUM, _DEPTH_SUM = (tl.constexpr(n) for n in range(4))
+"""What the kernels add up: values of colour and pixels with a depth loss, then sum |C - C^| and sum |D - D^|."""
+_N_SUMS = tl.constexpr(4)
 
 
 def rgbd_l1_vjp(
@@ -35,7 +34,7 @@ def rgbd_l1_vjp(
 ) -> RgbdLoss:
     """See ``gsfusion_nb.optim.rgbd_l1_vjp``."""
     images = (rgb, depth_m, target_rgb, target_depth_m)
-    if not is_float32(*images):
+    if any(image.dtype != torch.float32 for image in images):
         options = {"weight_colour": weight_colour, "weight_depth": weight_depth, "behind_m": behind_m}
         return reference.reference(*images, pixels, **options)
     names = ("rgb", "depth_m", "target_rgb", "target_depth_m")
@@ -46,14 +45,14 @@ def rgbd_l1_vjp(
         **{name: image.detach().contiguous() for name, image in zip(names, images, strict=True)},
         "pixels": pixels.contiguous().view(torch.uint8),
         "total": total,
-        "limit": limit_m(behind_m),
+        "limit": float("inf") if behind_m is None else float(behind_m),
         "BLOCK": _BLOCK,
         "num_warps": 4,
     }
-    sums = torch.zeros(parts(total, _BLOCK), host.N_SUMS, dtype=torch.float32, device=device)
+    sums = torch.zeros(parts(total, _BLOCK), 4, dtype=torch.float32, device=device)
     launch(_sums, len(sums), device, sums=sums, **shared)
     sums = sums.sum(0, dtype=torch.float64)
-    counts = sums[: host.COLOUR_SUM].clamp_min(1.0)
+    counts = sums[:2].clamp_min(1.0)
     launch(
         _write,
         parts(total, _BLOCK),
@@ -65,8 +64,9 @@ def rgbd_l1_vjp(
         weight_depth=float(weight_depth),
         **shared,
     )
-    colour, depth = (sums[host.COLOUR_SUM :] / counts).float()
-    return to_loss(torch.stack([colour, depth, weight_colour * colour + weight_depth * depth]), v_rgb, v_depth_m)
+    colour, depth = (sums[2:] / counts).float()
+    loss = weight_colour * colour + weight_depth * depth
+    return RgbdLoss(colour=colour, depth_m=depth, total=loss, v_rgb=v_rgb, v_depth_m=v_depth_m)
 
 
 @triton.jit
@@ -88,7 +88,7 @@ def _sign(x):
 
 @triton.jit(do_not_specialize=["total", "limit"])
 def _sums(rgb, depth_m, target_rgb, target_depth_m, pixels, sums, total, limit, BLOCK: tl.constexpr):
-    """The sums of ``host``, of each program."""
+    """The four sums, of each program."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     r, g, b, d, wanted, known = _gaps(rgb, depth_m, target_rgb, target_depth_m, pixels, at, total, limit)
     out = sums + _N_SUMS * tl.program_id(0)

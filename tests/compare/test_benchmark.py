@@ -32,7 +32,7 @@ def test_every_protocol_is_complete(name):
     asked = DATA_SETS[name]
     assert asked.scenes
     assert all(sentence.endswith(".") for sentence in asked.protocol)
-    assert all(set(row.numbers) <= set(COLUMNS) and row.source for row in asked.published)
+    assert all(set(row["numbers"]) <= set(COLUMNS) and row["source"] for row in asked.published)
 
 
 def test_the_protocol_is_set_and_what_changes_it_is_kept(replica):

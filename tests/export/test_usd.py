@@ -8,7 +8,9 @@ from gsfusion_nb.geometry import se3
 from gsfusion_nb.geometry.upright import turn_to_y_up
 from gsfusion_nb.types import Camera, GaussianParams, Mesh
 
-pxr = pytest.importorskip("pxr", reason="usd-core is not installed")
+Usd, UsdGeom, Gf = (
+    pytest.importorskip(f"pxr.{name}", reason="usd-core is not installed") for name in ("Usd", "UsdGeom", "Gf")
+)
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=58.0, cx=31.3, cy=24.9)
 MESH = Mesh(
@@ -35,8 +37,6 @@ def poses():
 
 
 def opened(path):
-    from pxr import Usd
-
     stage = Usd.Stage.Open(str(path))
     return stage, {prim.GetName(): prim for prim in stage.Traverse()}
 
@@ -68,8 +68,6 @@ def test_the_numbers_are_those_of_the_map(tmp_path, gaussians):
 
 @pytest.mark.parametrize("up", ["-y", "+z", (0.3, 0.1, -0.9)])
 def test_the_root_turns_up_to_y(tmp_path, gaussians, up):
-    from pxr import Gf, UsdGeom
-
     write_map_usda(tmp_path / "map.usda", gaussians, up=up)
     _, prims = opened(tmp_path / "map.usda")
     T = UsdGeom.Xformable(prims["Gaussians"]).ComputeLocalToWorldTransform(0)
@@ -79,8 +77,6 @@ def test_the_root_turns_up_to_y(tmp_path, gaussians, up):
 
 
 def test_usds_camera_sees_a_point_at_our_pixel(tmp_path, gaussians, poses):
-    from pxr import Gf, UsdGeom
-
     path, times_s = tmp_path / "map.usda", [1.5, 1700000000.125]
     write_map_usda(path, gaussians, camera=CAMERA, poses=poses, times_s=times_s, up="+z")
     stage, prims = opened(path)

@@ -9,6 +9,7 @@ import torch
 from gsfusion_nb.cli import main
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.data.adjust.repair import RepairedSequence
+from gsfusion_nb.data.recorded.recorded_sequence import RecordedSequence
 from gsfusion_nb.recordings.excerpt import write_excerpt
 
 EVERY_THIRD = slice(1, 11, 3)
@@ -21,7 +22,9 @@ def same_files(source, out, files):
 def as_stored(folder):
     """The recording, without the poses of its depth images."""
     source = open_sequence(folder).source
-    return source.source if isinstance(source, RepairedSequence) else source
+    source = source.source if isinstance(source, RepairedSequence) else source
+    assert isinstance(source, RecordedSequence)
+    return source
 
 
 @pytest.mark.parametrize("name", ["redkitchen_mini48", "rgbd_dataset_freiburg1_xyz_excerpt"])
