@@ -84,7 +84,11 @@ def dead_links(folder: Path) -> list[str]:
         (path, link) for path, text in texts for link in re.findall(r'\]\(([^)\s#]+)|(?:href|src)="([^"#]+)', text)
     ]
     assert len(found) > 50
-    relative = [(path, "".join(link)) for path, link in found if not re.match(r"https?:|data:|mailto:", "".join(link))]
+    relative = [
+        (path, "".join(link))
+        for path, link in found
+        if not re.match(r"https?:|data:|mailto:|attachment:", "".join(link))
+    ]
     return [f"{path.name}: {link}" for path, link in relative if not (path.parent / link).exists()]
 
 

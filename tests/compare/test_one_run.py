@@ -53,7 +53,7 @@ def test_every_rule_takes_the_same_steps(spec):
     assert frugal.metrics["n_keyframes"] == rich.metrics["n_keyframes"] == -(-5 // EQUAL_KEYFRAME_EVERY)
     assert classy.notes == [
         "the rule's own optim.frame_iterations = 9 is not used, but 1",
-        "the rule sets optim.lr_xyz = 0.0005, in place of 0.00016",
+        "the rule sets optim.lr_xyz = 0.0005, in place of 0.00032",
     ]
     assert own[0].metrics["n_keyframes"] != own[1].metrics["n_keyframes"]
 

@@ -289,7 +289,7 @@ def test_a_frame_in_which_the_learners_function_fails_is_taken_back():
     frame = Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=torch.full((12, 16), 2.0), camera=camera,
                   T_WC=torch.eye(4))  # fmt: skip
     config = gsfusion("online", sh_degree=0, tsdf__voxel_size_m=0.2, seeding__quadtree_contrast="std",
-                      optim__keyframe_iterations=2)  # fmt: skip
+                      optim__keyframe_iterations=2, optim__frame_iterations=2)  # fmt: skip
     mapper, calls = GSFusion(config), []
 
     def l1_gradient(rgb, target):

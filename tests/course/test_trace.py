@@ -24,7 +24,7 @@ SMALL = {"data__width": 32, "data__height": 24}
 
 def settings(**changes):
     usual = {"tsdf__voxel_size_m": 0.08, "sh_degree": 1, "keyframe_min_seeds": 20, "seeding__quadtree_contrast": "std"}
-    return gsfusion("room", **(SMALL | usual | changes))
+    return gsfusion("room", "paper_steps", **(SMALL | usual | changes))
 
 
 @pytest.fixture(scope="module")

@@ -66,8 +66,7 @@ def test_every_file_that_a_reader_opens_is_noted(tmp_path, layout, scene, box):
     root = scene
     if layout != "folder":
         root = tmp_path / "data/scene"
-        write = box.replica if layout == "replica" else runpy.run_path(str(READERS / f"test_{layout}.py"))["write"]
-        write(*([root] if layout == "replica" else [root, box]))
+        runpy.run_path(str(READERS / f"test_{layout}.py"))["write"](root, box)
     with noting_files() as opened:
         sequence = open_sequence(root, format=layout)
         assert [frame.index for frame in sequence.mapping] != []

@@ -7,6 +7,11 @@ from gsfusion_nb.data import SequenceError, open_sequence, replica
 from gsfusion_nb.types import Camera
 
 
+def write(root, box, n=4):
+    """As the other layouts' tests have it."""
+    return box.replica(root, n)
+
+
 def test_reads_what_was_written(tmp_path, box):
     root = box.replica(tmp_path / "office0")
     seq = replica(root)
