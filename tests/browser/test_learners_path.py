@@ -1,6 +1,7 @@
 """A learner's path: chapters 2 to 6 of the unsolved edition in JupyterLab, every exercise typed into its cell.
 
-The functions of chapters 2 to 5 reach chapter 6 through the course file, and map a room there.
+The functions of chapters 2 to 5 reach chapter 6 through the course file, and map a room there. Of these chapters only
+imports, settings and exercises are opened; that all their cells run is tested without a browser.
 """
 
 import json
@@ -37,7 +38,18 @@ def chapter(number, solutions_in):
     assert set(solutions) == {e.name for e in exercises().values() if e.chapter == number}
     edition = json.dumps(learner_copy(notebook))
     assert not any(json.dumps(source)[1:-1] in edition for source in solutions.values())
-    return solutions, nbformat.from_dict(on_one_thread(quick(json.loads(edition))))
+    opened = on_one_thread(quick(json.loads(edition)))
+    if number != CHAPTERS[-1]:
+        opened["cells"] = exercise_cells(opened["cells"], set(solutions))
+    return solutions, nbformat.from_dict(opened)
+
+
+def exercise_cells(cells, names):
+    """The cells up to the settings, and those with an exercise or a check."""
+    first = 1 + next(i for i, cell in enumerate(cells) if "parameters" in cell["metadata"].get("tags", []))
+    wanted = re.compile(rf"^(def ({'|'.join(names)})\(|check\.)", re.MULTILINE)
+    codes = [cell for cell in cells[first:] if cell["cell_type"] == "code"]
+    return cells[:first] + [cell for cell in codes if wanted.search("".join(cell["source"]))]
 
 
 def type_into(page, name, solution):
