@@ -40,11 +40,14 @@ demo: setup
 test: dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-# Runs that are killed and resumed, damaged files, and chapters with nothing solved: see docs/trust.md. About two hours.
+# Runs that are killed and resumed, damaged files, chapters with nothing solved, and a class in nbgrader: see
+# docs/trust.md. About two hours.
 campaign: dev
 	$(BIN)/python tests/campaign/kills.py --kills 300
 	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow tests/course tests/test_notebooks.py
+	$(BIN)/python -m pip install --quiet "nbgrader>=0.9.5"
+	$(BIN)/python -m pytest -m ci tests/course/test_nbgrader.py
 
 # The tables in docs/ whose numbers are older than the code that they depend on, and the commands that measure them again.
 # make measured RENEW="tracking-accuracy ..." RECORDINGS=PATH/TO runs these commands in the folder of the recordings and

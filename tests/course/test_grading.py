@@ -23,7 +23,7 @@ EXPECTED = {
 }
 
 
-@pytest.mark.slow  # a minute; test_nbgrader.py marks the same six in CI
+@pytest.mark.ci  # test_nbgrader.py marks the same six with nbgrader, in make campaign
 def test_six_submissions_get_the_marks_that_they_deserve():
     submissions = find_submissions([SUBMISSIONS])
     names = exercises_of((2,), (), submissions)
