@@ -151,7 +151,7 @@ def _is_answer(value: Any, answer: Any) -> bool:
         return len(value) == len(answer) and all(map(_is_answer, value, answer))
     try:
         return torch.equal(*(as_tensor(x).flatten().nan_to_num() for x in (value, answer)))
-    except (TypeError, ValueError, RuntimeError):
+    except (TypeError, ValueError, RuntimeError, IndexError):
         return False
 
 

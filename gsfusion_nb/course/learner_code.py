@@ -153,7 +153,8 @@ def calls_of_library(function: Callable[..., Any]) -> Iterator[list[tuple[int, t
     usual = sys.getprofile()
 
     def watch(frame: Any, event: str, value: Any) -> None:
-        if event == "return" and _is_of_library(frame.f_globals.get("__name__", "")):
+        operator = frame.f_code.co_name.startswith("__")  # such as len() and [] of a value of the library
+        if event == "return" and not operator and _is_of_library(frame.f_globals.get("__name__", "")):
             caller = frame.f_back
             while caller is not None and _passes_on(caller.f_globals.get("__name__", "")):
                 caller = caller.f_back

@@ -227,3 +227,12 @@ def test_an_answer_of_the_library_gets_a_sentence_and_no_mark():
         assert verdict.prop == "it computes the answer itself"
         assert "a function of the library gave the answer in line" in verdict.detail
     assert "backproject(camera" in verdict.detail
+
+
+def test_choosing_rows_of_a_value_of_the_library_is_no_borrowed_answer():
+
+    def silhouette_rule(ctx, *, max_alpha=0.5):
+        x, y = ctx.quadtree_cells().centre_uv.long().unbind(-1)
+        return ctx.cells()[ctx.render().alpha[y, x][ctx.has_depth()[y, x]] < max_alpha]
+
+    assert check.silhouette_rule(silhouette_rule).state == "passed"
