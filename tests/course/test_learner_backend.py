@@ -221,8 +221,8 @@ def test_nan_at_one_pixel_is_found_among_many():
 def test_a_room_mapped_with_the_learners_code_is_as_good_as_the_references():
     """Measured: 0.0005 dB. Both differ in the order of sums, and the projection of yours runs in float64."""
     options = {"data__width": 32, "data__height": 24, "data__stop": 8, "tsdf__voxel_size_m": 0.08, "sh_degree": 1}
-    config = gsfusion("room", tsdf__truncation_voxels=2.0, seeding__quadtree_contrast="std", keyframe_min_seeds=20,
-                      **options)  # fmt: skip
+    options |= {"tsdf__truncation_voxels": 2.0, "seeding__quadtree_contrast": "std", "keyframe_min_seeds": 20}
+    config = gsfusion("room", "paper_steps", **options)
     sequence = open_sequence("room", data=config.data, n_frames=16)
     scores, meshes = [], []
     keep_all()
