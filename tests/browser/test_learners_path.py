@@ -1,6 +1,6 @@
 """A learner's path: chapters 2 to 6 of the unsolved edition in JupyterLab, every exercise typed into its cell.
 
-The functions of chapters 2 to 5 reach chapter 6 through the course file, and map a room there. Of these chapters only
+The functions of chapters 2 to 5 reach chapter 6 through the course file, and map a room there. Of three of them only
 imports, settings and exercises are opened; that all their cells run is tested without a browser.
 """
 
@@ -18,6 +18,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationW
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 CHAPTERS = (2, 3, 4, 5, 6)
+ONLY_EXERCISES = (2, 4, 5)
 
 CELL = """words => {
     const notebook = window.jupyterapp.shell.currentWidget.content;
@@ -39,7 +40,7 @@ def chapter(number, solutions_in):
     edition = json.dumps(learner_copy(notebook))
     assert not any(json.dumps(source)[1:-1] in edition for source in solutions.values())
     opened = on_one_thread(quick(json.loads(edition)))
-    if number != CHAPTERS[-1]:
+    if number in ONLY_EXERCISES:
         opened["cells"] = exercise_cells(opened["cells"], set(solutions))
     return solutions, nbformat.from_dict(opened)
 
