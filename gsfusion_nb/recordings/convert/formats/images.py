@@ -276,8 +276,7 @@ def _model(
         model, sentence = estimated_model(found.pairs, scale)
         return model, [sentence]
     known = benchmark_camera(path)
-    readable = _sizes(found.pairs) if file or known else iter(())
-    height, width = next(readable, (0, 0))
+    height, width = next(_sizes(found.pairs), (0, 0)) if file or known else (0, 0)
     if not height:
         return None, []
     if file:
