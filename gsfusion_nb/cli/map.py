@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from ..backends import use_backend
-from ..config import replace
+from ..config import TsdfConfig, replace
 from ..seeding.rule_code import is_rule_file
 from ..work import MAP_MEMORY
 from .result import print_result
@@ -137,7 +137,6 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
     Raises:
         SequenceError: the recording has no poses.
     """
-    from ..config import TsdfConfig, replace
     from ..files import SequenceError
     from ..mapping import make_mapper
     from ..runs.mapping_run import evenly, has_poses

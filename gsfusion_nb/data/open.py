@@ -15,7 +15,7 @@ from ..checks import check_name
 from ..config import DataConfig
 from ..files import file_hashes, noting_files
 from . import readers
-from .adjust.repair import ExtraOf, OpenedSequence, RepairedSequence, SequenceView, apply_options
+from .adjust.repair import ExtraOf, OpenedSequence, RepairedSequence, SequenceView, apply_options, as_read
 from .recorded.files import missing
 from .recorded.recorded_sequence import Layout, RecordedSequence
 from .sequence import SequenceError, SequenceNotFoundError
@@ -121,7 +121,7 @@ def sequence_fingerprint(sequence: OpenedSequence) -> str:
     source = sequence.source
     if isinstance(source, RepairedSequence):
         digest.update(repr(source.repair).encode())
-        source = source.source
+    source = as_read(source)
     if isinstance(source, RecordedSequence):
         stored = (source.depth_scale, source.depth_invalid, source.fit_sizes)
         digest.update(repr((stored, list(data_files(sequence).values()))).encode())
@@ -137,7 +137,7 @@ def sequence_fingerprint(sequence: OpenedSequence) -> str:
 
 def data_files(sequence: OpenedSequence) -> dict[str, str]:
     """Path -> hash of each file that a run on ``sequence`` reads; empty for a sequence that is not on disk."""
-    source = sequence.source.source if isinstance(sequence.source, RepairedSequence) else sequence.source
+    source = as_read(sequence.source)
     if not isinstance(source, RecordedSequence):
         return {}
     positions = [*sequence.mapping.positions, *sequence.held_out.positions]

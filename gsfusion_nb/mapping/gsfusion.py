@@ -82,8 +82,12 @@ class GSFusion(TsdfMapping):
 
     def is_next_keyframe(self, frame: Frame) -> bool | None:
         """Whether this frame, mapped next, becomes a keyframe; None if that depends on the number of its seeds."""
-        every = self.config.keyframe_every
-        return self.n_frames % every == 0 if every else None
+        every, gap = self.config.keyframe_every, self.config.keyframe_max_gap
+        if every:
+            return self.n_frames % every == 0
+        mapped, last = self.localiser.frame_indices, self.keyframes[-1].index if len(self.keyframes) else None
+        overdue = gap and last is not None and len(mapped) - bisect.bisect_left(mapped, last) >= gap
+        return True if overdue else None
 
     @property
     def n_passes(self) -> int:
@@ -97,10 +101,6 @@ class GSFusion(TsdfMapping):
     def _plan(self, frame: Frame, n_seeds: int) -> tuple[bool, int, int]:
         """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its seeds do not count."""
         optim, least, known = self.config.optim, self.config.keyframe_min_seeds, self.is_next_keyframe(frame)
-        gap = self.config.keyframe_max_gap
-        if known is None and gap and len(self.keyframes):
-            mapped = self.localiser.frame_indices
-            known = len(mapped) - bisect.bisect_left(mapped, self.keyframes[-1].index) >= gap or None
         return plan_frame(
             n_seeds if known is None else known * (least + 1),
             len(self.keyframes) + self.config.keep_all_frames,

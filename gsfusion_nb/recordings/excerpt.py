@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 from ..config.values import named_values, parse_options
-from ..data.adjust.repair import RepairedSequence
+from ..data.adjust.repair import as_read
 from ..data.open import open_sequence
 from ..data.readers.tum import benchmark_camera
 from ..data.recorded.recorded_sequence import RecordedSequence
@@ -105,9 +105,7 @@ def write_excerpt(source: Path, out: Path, chosen: slice, **reader: Any) -> int:
 
 def _files_of_layout(source: Path, layout: str, reader: dict[str, Any]) -> tuple[list[Path], list[list[Path]]]:
     """Files of the whole recording, and those of each frame."""
-    sequence = open_sequence(source, format=layout, **reader).source
-    if isinstance(sequence, RepairedSequence):
-        sequence = sequence.source
+    sequence = as_read(open_sequence(source, format=layout, **reader).source)
     assert isinstance(sequence, RecordedSequence)
     return [*sequence.read_from], [[*pair] for pair in zip(sequence.rgb_files, sequence.depth_files, strict=True)]
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
 from ..data import SequenceView
-from ..data.adjust.repair import RepairedSequence
+from ..data.adjust.repair import as_read
 from ..evaluation import ImageScores, score_view
 from ..files import SequenceError, read_object, reason_of
 from ..geometry import se3
@@ -87,7 +87,7 @@ def _data_pose(view: SequenceView, i: int) -> Float[Tensor, "4 4"] | None:
 def ground_truth_poses(localiser: Localiser, mapping: SequenceView) -> Float[Tensor, "N 4 4"] | None:
     """The true poses of the mapped frames where the source knows them (``true_pose``), otherwise those of the data;
     ``None`` if one is missing."""
-    source = mapping.source.source if isinstance(mapping.source, RepairedSequence) else mapping.source
+    source = as_read(mapping.source)
     true_pose = getattr(source, "true_pose", None)
     if true_pose is not None:
         return torch.stack([true_pose(index) for index in localiser.frame_indices])

@@ -49,10 +49,10 @@ def rgbd_l1_vjp(
         "BLOCK": _BLOCK,
         "num_warps": 4,
     }
-    sums = torch.zeros(parts(total, _BLOCK), 4, dtype=torch.float32, device=device)
+    sums = torch.zeros(parts(total, _BLOCK), _N_SUMS.value, dtype=torch.float32, device=device)
     launch(_sums, len(sums), device, sums=sums, **shared)
     sums = sums.sum(0, dtype=torch.float64)
-    counts = sums[:2].clamp_min(1.0)
+    counts = sums[: _COLOUR_SUM.value].clamp_min(1.0)
     launch(
         _write,
         parts(total, _BLOCK),
@@ -64,7 +64,7 @@ def rgbd_l1_vjp(
         weight_depth=float(weight_depth),
         **shared,
     )
-    colour, depth = (sums[2:] / counts).float()
+    colour, depth = (sums[_COLOUR_SUM.value :] / counts).float()
     loss = weight_colour * colour + weight_depth * depth
     return RgbdLoss(colour=colour, depth_m=depth, total=loss, v_rgb=v_rgb, v_depth_m=v_depth_m)
 

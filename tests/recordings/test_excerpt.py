@@ -8,7 +8,7 @@ import torch
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.data.adjust.repair import RepairedSequence
+from gsfusion_nb.data.adjust.repair import as_read
 from gsfusion_nb.data.recorded.recorded_sequence import RecordedSequence
 from gsfusion_nb.recordings.excerpt import write_excerpt
 
@@ -21,8 +21,7 @@ def same_files(source, out, files):
 
 def as_stored(folder):
     """The recording, without the poses of its depth images."""
-    source = open_sequence(folder).source
-    source = source.source if isinstance(source, RepairedSequence) else source
+    source = as_read(open_sequence(folder).source)
     assert isinstance(source, RecordedSequence)
     return source
 

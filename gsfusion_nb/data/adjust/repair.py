@@ -207,6 +207,11 @@ ExtraOf = Callable[[Frame], Mapping[str, Any]]
 """A function from a frame to further images of it by name, tensors or numpy arrays [H, W, ...] (``Frame.extra``)."""
 
 
+def as_read(source: Sequence) -> Sequence:
+    """The sequence as its reader returned it, without corrections."""
+    return source.source if isinstance(source, RepairedSequence) else source
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SequenceView:
     """Some frames of a sequence, resized and with depth limits (a ``Sequence``). Frames keep the source's index."""

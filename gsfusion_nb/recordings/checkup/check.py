@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ...config import DataConfig, RepairConfig
-from ...data.adjust.repair import RepairedSequence, apply_options
+from ...data.adjust.repair import apply_options, as_read
 from ...data.open import detect_layout, known_layouts, open_sequence
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence
@@ -142,8 +142,7 @@ def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, A
     """The sequence as its reader returns it, and the option of the reader that registers colour to depth."""
     if not isinstance(sequence_or_path, (str, Path)):
         return sequence_or_path, {}
-    source = open_sequence(sequence_or_path, **reader_options).source
-    source = source.source if isinstance(source, RepairedSequence) else source
+    source = as_read(open_sequence(sequence_or_path, **reader_options).source)
     layout = reader_options.get("format", "auto")
     if layout == "auto" and isinstance(source, RecordedSequence):
         layout = detect_layout(Path(sequence_or_path).expanduser())
