@@ -120,11 +120,8 @@ def _kind_of(error: BaseException, folder: Path) -> str:
     ours = isinstance(error, (ValueError, OSError, KeyError))
     names = {p.name for p in folder.rglob("*")} | {folder.name, "input"}
     sentence = "\n" not in text.strip() and 20 < len(text) < 1500 and any(name in text for name in names)
-    foreign = isinstance(error, UnicodeError) or type(error).__module__ not in _MODULES
+    foreign = isinstance(error, UnicodeError) or type(error).__module__.split(".")[0] not in ("builtins", "gsfusion_nb")
     return CLEAN if ours and sentence and not foreign else "tracebacks"
-
-
-_MODULES = ("builtins", "gsfusion_nb.files", "gsfusion_nb.recordings.fetch", "gsfusion_nb.backends")
 
 
 def _replace(path: Path, rng: random.Random) -> None:
