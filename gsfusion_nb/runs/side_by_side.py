@@ -21,7 +21,7 @@ NUMBERS = {
     "n_gaussians": "Gaussians",
     "mesh_accuracy_m": "mesh to true surface",
     "mesh_completion_ratio": "true surface in the mesh",
-    "fps_total": "speed",
+    "fps_total": "speed while mapping",
     "seconds_online": "mapping",
     "seconds_global": "passes after the scan",
 }
@@ -50,10 +50,10 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         numbers=numbers_of(runs)[1:],
         views=_views([outputs.report_views(run.run) for run in runs], names),
         meshes=[
-            page_picture(picture, f"{name}, {words}")
-            for name, run in zip(names, runs, strict=True)
-            for words, picture in outputs.mesh_pictures(run.run).items()
-        ],
+            page_picture(picture, f"{name}, {words.partition(',')[0]}")
+            for seen in zip(*(outputs.mesh_pictures(run.run).items() for run in runs), strict=True)
+            for name, (words, picture) in zip(names, seen, strict=True)
+        ][: 2 * len(runs)],
         graphs=[
             page_graph("PSNR of the frame after its step", frames, of_frames, x_label="frame", y_label="PSNR, dB"),
             page_graph("Size of the map", frames, sizes, x_label="frame", y_label="Gaussians"),
