@@ -93,6 +93,15 @@ def test_the_map_turns_until_it_is_dragged(opened, name):
     assert look() != at_rest
 
 
+@pytest.mark.parametrize(("chapter", "says"), [(1, "same surface"), (2, "After 1 frame D"), (3, "3,283 cells")])
+def test_a_panel_computes_in_the_page(opened, chapter, says):
+    text = opened(f"notebooks/{CHAPTERS[chapter]}").locator(".gsnb-live [role=status]")
+    text.filter(has_text=says).wait_for()
+    before = text.inner_text()
+    text.page.get_by_role("slider").nth(1).press("ArrowRight")
+    assert text.inner_text() != before
+
+
 @pytest.mark.parametrize("chapter", CHAPTERS)
 def test_a_chapter_opens_at_every_width(opened, chapter):
     page = opened(f"notebooks/{chapter}", viewport={"width": 390, "height": 800})
