@@ -1,14 +1,19 @@
 """The notebooks: stored as they ran, light, and they run again in an empty folder without network."""
 
 import ast
+import contextlib
+import functools
 import json
 import os
 import re
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from quick_run import quick
 
 from gsfusion_nb.course.copies import without_solutions
@@ -36,6 +41,15 @@ def connect(self, address):
         raise OSError(f"this test allows no network, but something connects to {address}")
     return _connect(self, address)
 socket.socket.connect = connect
+"""
+
+# What only tests and other extras install, the notebook cannot import.
+_NO_EXTRAS = """
+from importlib.machinery import PathFinder
+_find_spec = PathFinder.find_spec
+def find_spec(name, path=None, target=None):
+    return None if name.partition(".")[0] in {absent} else _find_spec(name, path, target)
+PathFinder.find_spec = find_spec
 """
 
 _EXECUTE = """
@@ -149,12 +163,29 @@ def test_code_cells_parse_and_are_short(path):
             assert len(source.splitlines()) <= 30, f"a long cell in {path.name}: {source.splitlines()[0]}"
 
 
+@functools.cache
+def not_from_setup() -> list[str]:
+    """Modules that are installed here but not by ``make setup``."""
+    wanted, todo = {"pip", "setuptools"}, [("gsfusion-nb", ())]
+    while todo:
+        name, extras = todo.pop()
+        wanted.add(canonicalize_name(name))
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            for needed in map(Requirement, metadata.distribution(name).requires or ()):
+                used = any(not needed.marker or needed.marker.evaluate({"extra": e}) for e in ("", *extras))
+                if used and (canonicalize_name(needed.name) not in wanted or needed.extras):
+                    todo.append((needed.name, tuple(needed.extras)))
+    of_modules = metadata.packages_distributions().items()
+    return sorted(m for m, packages in of_modules if not wanted.intersection(map(canonicalize_name, packages)))
+
+
 def run_quickly(notebook: dict, name: str, tmp_path: Path) -> Path:
     """Execute in an empty folder without network, in smoke mode; the executed copy."""
     folder, site = tmp_path / "empty", tmp_path / "site"
     folder.mkdir()
     site.mkdir()
-    (site / "sitecustomize.py").write_text(_NO_NETWORK, encoding="utf-8")
+    kept_out = _NO_EXTRAS.format(absent=not_from_setup())
+    (site / "sitecustomize.py").write_text(_NO_NETWORK + kept_out, encoding="utf-8")
     copy = folder / name
     copy.write_text(json.dumps(quick(notebook)), encoding="utf-8")
     environment = os.environ | {"GSNB_SMOKE": "1", "PYTHONPATH": str(site), "IPYTHONDIR": str(tmp_path / "ipython")}

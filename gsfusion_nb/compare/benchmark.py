@@ -97,7 +97,7 @@ def scenes_in(folder: Path, format: str) -> dict[str, Path]:
         FileNotFoundError: there is none; the message says what the layout looks for.
     """
     layout, found = known_layouts()[format], dict[str, Path]()
-    for place, below, _ in os.walk(folder):
+    for place, below, _ in os.walk(folder, followlinks=True):
         inside = Path(place).relative_to(folder)
         if not missing(layout.locate(Path(place)), layout.looks_for):
             found["-".join(inside.parts) or folder.resolve().name] = Path(place)
