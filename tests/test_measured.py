@@ -126,13 +126,6 @@ def test_a_difference_is_taken_scene_by_scene():
     assert measured.cell("{lab; mcmc; scene=b; less=none; psnr_db:.1f}", values) == "-1.0"
 
 
-def test_an_offset_is_read_from_what_the_command_prints():
-    said = "pictures were taken 8.1 ± 2.6 ms before their poses: --data.repair.pose-offset-s -0.0081\n"
-    assert measured.of_an_offset(said) == [{"offset_ms": -8.1, "error_ms": 2.6}]
-    with pytest.raises(measured.MeasuredError, match="cannot be known"):
-        measured.of_an_offset("a time offset of the poses cannot be known from 3 pairs of frames\n")
-
-
 # ---- The pages of this project ---------------------------------------------------------------------------------------
 
 RECIPES = measured.read_recipes()

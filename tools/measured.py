@@ -142,8 +142,7 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
     with tempfile.TemporaryDirectory() as folder:
         out, bench = written or Path(folder) / "out", Path(folder) / "bench.json"
         call = [sys.executable, "-m", "gsfusion_nb", what, *rest]
-        if what != "offset":
-            call += ["--json", str(bench)] if what == "bench" else ["--out", str(out)]
+        call += ["--json", str(bench)] if what == "bench" else ["--out", str(out)]
         if program == "python":
             call = [sys.executable, what, *rest]
         if written is None:
@@ -154,8 +153,6 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
                 raise MeasuredError(f"ended with status {done.returncode} in {recordings}: {command}")
             if program == "python":
                 return leaves(json.loads(done.stdout.strip().splitlines()[-1]))
-            if what == "offset":
-                return of_an_offset(done.stdout)
         if what in ("sweep", "study") and (out / "runs.csv").is_file():
             rows = csv.DictReader((out / "runs.csv").read_text(encoding="utf-8").splitlines())
             return [
@@ -164,17 +161,11 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
         if what == "bench":
             rows = json.loads(bench.read_text(encoding="utf-8"))["rows"]
             return [row | row.pop("values") | (row.pop("timing") or {}) for row in rows]
-        path = out / ("metrics.json" if what in ("map", "demo") else "table.json")
+        if what == "demo":
+            return leaves({p.parent.name: json.loads(p.read_text())["metrics"] for p in out.glob("*/metrics.json")})
+        path = out / ("metrics.json" if what == "map" else "table.json")
         found = json.loads(path.read_text(encoding="utf-8"))
         return of_the_lab(found) if what == "lab" else leaves(found.get("metrics", found))
-
-
-def of_an_offset(text: str) -> list[Record]:
-    """The offset that ``gsfusion-nb offset`` prints, and its error; negative if pictures were taken before poses."""
-    found = re.search(r"taken ([\d.]+) ± ([\d.]+) ms (after|before)", text)
-    if found is None:
-        raise MeasuredError(f"expected an offset in milliseconds, got {text.strip()!r}")
-    return [{"offset_ms": float(found[1]) * (1 if found[3] == "after" else -1), "error_ms": float(found[2])}]
 
 
 def leaves(table: Any, label: str = "") -> list[Record]:

@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 
 from ..backends import BackendUnavailable, from_environment, use_backend
-from ..config import DataConfig, gsfusion
+from ..config import DataConfig, gps_slam, gsfusion
 from ..config.values import parse_options
 from ..files import is_foreseen, unforeseen
 from .result import print_metrics, print_result
@@ -25,10 +25,11 @@ NOBODY_READS = 141
 
 
 @dataclass(frozen=True, kw_only=True)
-class OffsetOptions:
-    """Estimate how much later than its pose each picture was taken, from the frames that would be mapped.
+class CheckOptions:
+    """Examine a recording: units, conventions, intrinsics, registration, times, images.
 
-    Prints the offset with its error, and the option of gsfusion-nb map that uses it. Nothing is changed."""
+    Reports errors and the options of gsfusion-nb map that repair them; the same options can be given here to test
+    them. Writes an HTML page."""
 
     path: Annotated[str, tyro.conf.Positional]
     """Folder of a sequence, or "room" for the built-in scene."""
@@ -39,15 +40,6 @@ class OffsetOptions:
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
     data: DataConfig = field(default_factory=DataConfig)
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckOptions(OffsetOptions):
-    """Examine a recording: units, conventions, intrinsics, registration, times, images.
-
-    Reports errors and the options of gsfusion-nb map that repair them; the same options can be given here to test
-    them. Writes an HTML page."""
-
     out: str = ""
     """Name of the HTML file. Default: check-<name>.html."""
     frames: int = 250
@@ -56,10 +48,10 @@ class CheckOptions(OffsetOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
-    """Map the built-in room and write a report."""
+    """Map the built-in room by GSFusion and by GPS-SLAM, and write a report of both, side by side."""
 
     out: str = ""
-    """New or empty folder for the results; runs/room-<time> by default."""
+    """New or empty folder for the results, with a folder of each run; runs/room-<time> by default."""
     frames: int = 120
     """Number of frames, spread evenly over one walk through the room. More: a better map, and more time."""
     backend: str = field(default_factory=from_environment)
@@ -165,24 +157,26 @@ def _check(arguments: list[str]) -> int:
     return 1 if report.verdict == "wrong" else 0
 
 
-def _offset(arguments: list[str]) -> int:
-    from ..data import open_sequence
-    from ..recordings.checkup.pose_offset import estimate_pose_offset
-
-    options = parse_options(OffsetOptions, prog="gsfusion-nb offset", arguments=arguments)
-    path, reader = recording_to_open(options, options.path)
-    print(estimate_pose_offset(open_sequence(path, data=options.data, **reader)))
-    return 0
-
-
 def _demo(arguments: list[str]) -> int:
     from ..runs import run_mapping
+    from ..runs.run_folder import new_folder
+    from ..runs.side_by_side import numbers_of, write_side_by_side
 
     options = parse_options(DemoOptions, prog="gsfusion-nb demo", arguments=arguments)
-    print("Mapping the built-in room, frame by frame; the first run also renders its images and stores them.")
-    with use_backend(options.backend):
-        run = run_mapping("room", gsfusion("room"), folder=options.out or None, n_frames=options.frames)
-    return print_result(run)
+    folder, runs = new_folder("room", options.out or None), []
+    print("Mapping the built-in room; the first run also renders its images and stores them.")
+    for name, config in (("gsfusion", gsfusion("room")), ("gps_slam", gps_slam("room"))):
+        with use_backend(options.backend):
+            run = run_mapping("room", config, folder=folder / name, n_frames=options.frames)
+        if run.run.status != "complete":
+            return print_result(run)
+        runs.append(run)
+    page = write_side_by_side(folder / "report.html", runs)
+    for cells in numbers_of(runs):
+        print(f"{cells[0]:<30}" + "".join(f"{cell:>18}" for cell in cells[1:]))
+    print("Both maps, trajectory, numbers and report of each:", *(run.folder for run in runs))
+    print(f"Side by side: {page}")
+    return 0
 
 
 def _eval(arguments: list[str]) -> int:
@@ -214,7 +208,7 @@ def _doctor(arguments: list[str]) -> int:
 _MODULES = ("map", "live", "export", "course", "grade")
 """Commands that are modules of this package, with a function ``run``."""
 _COMMANDS = {
-    "demo": _demo, "convert": _convert, "excerpt": _excerpt, "check": _check, "offset": _offset, "eval": _eval,
+    "demo": _demo, "convert": _convert, "excerpt": _excerpt, "check": _check, "eval": _eval,
     "doctor": _doctor,
 }  # fmt: skip
 _COMPARING = {

@@ -47,7 +47,7 @@ class RepairConfig(Settings, group="repair"):
     """Frame i gets the pose recorded for frame i + this, interpolated between frames if it is not a whole number."""
     pose_offset_s: float = within(0.0, -10, 10)
     """Every picture was taken this much later than its pose, seconds; it gets the pose of its time, interpolated.
-    gsfusion-nb offset DATA estimates it. Usual: within 0.03."""
+    gsfusion-nb check DATA estimates it. Usual: within 0.03."""
     depth_offset_s: float = within(0.0, -10, 10)
     """Every depth image was taken this much later than it is stamped beside the pictures, seconds. A frame gets the
     depth image nearest to its picture in time, moved to the picture's pose. Usual: within 0.03."""

@@ -187,8 +187,8 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         config=to_dict(config),
         frames=run.steps,
         global_losses=run.global_losses,
-        views=_panels(run),
-        mesh_pictures=_mesh_pictures(run),
+        views=report_views(run),
+        mesh_pictures=mesh_pictures(run),
         warnings=_headline_warnings(run),
         environment=environment(),
         files={name: text for name, text in FILES.items() if (folder / name).exists()},
@@ -328,7 +328,7 @@ def _strict(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _panels(run: MappingRun) -> list[ReportView]:
+def report_views(run: MappingRun) -> list[ReportView]:
     """A few held-out and mapped views: input image and render."""
     panels = []
     for view, held_out in ((run.sequence.held_out, True), (run.mapped_views(1000), False)):
@@ -340,7 +340,7 @@ def _panels(run: MappingRun) -> list[ReportView]:
     return panels
 
 
-def _mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
+def mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
     """The surface seen from two mapped views: in colour, and grey, lit from the camera."""
     pictures = {}
     poses = run.poses

@@ -27,7 +27,7 @@ EXPECTED = {
 def test_six_submissions_get_the_marks_that_they_deserve():
     submissions = find_submissions([SUBMISSIONS])
     names = exercises_of((2,), (), submissions)
-    marks = grade(submissions, names, limits=Limits(seconds=30.0))
+    marks = grade(submissions, names, limits=Limits(seconds=15.0))
     got = {name: tuple(int(m.points) for m in marks if m.student == name) for name in EXPECTED}
     assert got == EXPECTED
     said = {(m.student, m.exercise): f"{m.prop}; {m.message}" for m in marks}

@@ -7,9 +7,12 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from gsfusion_nb.config import gps_slam, replace
 from gsfusion_nb.evaluation import NotComputed
+from gsfusion_nb.evaluation.metrics import format_metric
 from gsfusion_nb.mapping import StepReport
-from gsfusion_nb.runs import ReportData, ReportView, write_report
+from gsfusion_nb.runs import ReportData, ReportView, run_mapping, write_report
+from gsfusion_nb.runs.side_by_side import write_side_by_side
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
 VOID = {"meta", "link", "img", "br", "input", "hr"}
@@ -171,3 +174,15 @@ def test_panel_of_a_frame_scores_the_render(generator):
     made = ReportView.of(frame, view, held_out=True)
     assert (made.name, made.psnr, made.ssim) == ("Frame 12", math.inf, 1.0)
     assert torch.allclose(made.render_depth_m, depth)
+
+
+def test_two_systems_side_by_side(config, tmp_path):
+    configs = {"one": config, "other": replace(gps_slam("room", final__passes=0), data=config.data)}
+    small = {"n_frames": 120, "width": 80, "height": 60}
+    runs = [run_mapping("room", c, folder=tmp_path / name, **small) for name, c in configs.items()]
+    page = Page(write_side_by_side(tmp_path / "report.html", runs).read_text(encoding="utf-8"))
+    assert {ref for ref in page.references if not ref.startswith("data:")} == {"one/report.html", "other/report.html"}
+    assert all((tmp_path / name / "report.html").is_file() for name in configs)
+    assert "GSFusion and GPS-SLAM on room" in page.words
+    for run in runs:
+        assert format_metric("psnr_held_out_db", run.metrics["psnr_held_out_db"]).replace("\u00a0", " ") in page.words

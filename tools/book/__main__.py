@@ -15,6 +15,7 @@ from quiz import Question, bank, by_chapter
 
 from .assemble import ARCHIVE, Assembly
 from .chapters import places_of
+from .live_panels import PANELS, panel_script
 from .moving_map import moving_map
 
 log = logging.getLogger(__name__)
@@ -58,6 +59,8 @@ def _write_static(folder: Path) -> None:
     for file in (Path(__file__).parent / "static").iterdir():
         (folder / file.name).write_bytes(file.read_bytes())
     (folder / "moving_map.js").write_text(moving_map(), encoding="utf-8")
+    for name in PANELS.values():
+        (folder / f"live_{name}.js").write_text(panel_script(name), encoding="utf-8")
     mathjax = Path(str(files("mathjax").joinpath("static/mathjax/es5")))
     for name in _MATHJAX:
         target = folder / "mathjax" / name

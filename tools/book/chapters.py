@@ -17,6 +17,8 @@ from PIL import Image
 
 from gsfusion_nb.course.exercise import exercises
 
+from .live_panels import panel_html
+
 _PAGES = re.compile(
     r"(README|ARCHITECTURE|CONTRIBUTING)\.md|docs/(measured/|teaching/(quiz/)?)?[^/]+\.md|notebooks/[^/]+\.ipynb"
 )
@@ -194,7 +196,7 @@ class Chapter:
         folded = cell["metadata"].get("jupyter", {}).get("source_hidden") or (call and _called(call) in _DRAWING)
         if folded:
             begins, ends = f'{begins}<details class="gsnb-code"><summary>Code</summary>', f"</details>{ends}"
-        return f"{raw(begins)}\n{_python(source)}\n{raw(ends)}"
+        return f"{raw(begins)}\n{_python(source)}\n{raw(ends + panel_html(cell['id']))}"
 
     def _outputs(self, cell: Mapping[str, Any]) -> list[str]:
         """HTML of each output of a cell; what it printed in a row is one."""

@@ -1,4 +1,4 @@
-"""Poses and pictures of different times: the path between the poses, and the offset that the pictures tell."""
+"""Poses and pictures of different times: the path between the poses, and the repair by a known offset."""
 
 from typing import Any, cast
 
@@ -6,11 +6,10 @@ import pytest
 import torch
 
 from gsfusion_nb.config import DataConfig, RepairConfig
-from gsfusion_nb.data import SequenceError, apply_options, repaired
+from gsfusion_nb.data import apply_options, repaired
 from gsfusion_nb.data.adjust.poses import PosePath
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.recordings.checkup.pose_offset import estimate_pose_offset
 
 LATE: dict[str, Any] = {"n_frames": 480, "width": 96, "height": 72, "pose_delay_s": 0.05}
 
@@ -48,20 +47,3 @@ def test_a_known_offset_brings_the_true_poses_back(late):
         RepairConfig(pose_offset_s=0.01, pose_shift_frames=1.0)
     with pytest.raises(ValueError, match=r"repair.pose_offset_s must be between -10 and 10, got 99"):
         RepairConfig(pose_offset_s=99.0)
-
-
-def test_the_offset_is_found_from_the_pictures(late):
-    found = estimate_pose_offset(late)
-    assert found.is_sure
-    assert found.offset_s == pytest.approx(-0.05, abs=0.005)
-    exact = estimate_pose_offset(apply_options(cast(Any, room(**dict(LATE, pose_delay_s=0.0))), PART))
-    assert abs(exact.offset_s) < 0.003
-
-
-def test_without_times_nothing_is_guessed(late):
-    class Timeless:
-        name, camera, has_poses = late.name, late.camera, True
-        __len__, __getitem__, pose = late.__len__, late.__getitem__, late.pose
-
-    with pytest.raises(SequenceError, match="no times"):
-        estimate_pose_offset(Timeless())
