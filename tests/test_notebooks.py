@@ -17,6 +17,7 @@ from packaging.utils import canonicalize_name
 from quick_run import quick
 
 from gsfusion_nb.course.copies import without_solutions
+from gsfusion_nb.course.short_path import short_path
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -223,3 +224,12 @@ def test_the_student_copy_runs_with_nothing_solved(path, tmp_path):
     verdicts = [joined(o["data"]["text/plain"]) for o in outputs(copy) if "gsnb-verdict" in str(o.get("data"))]
     assert sum("not written" in verdict for verdict in verdicts) == sum(map(bool, exercises))
     assert not any(verdict.startswith("✓") for verdict in verdicts)
+
+
+@pytest.mark.parametrize(("edition", "solved"), [(without_solutions, False), (dict, True)])
+@pytest.mark.ci
+def test_the_short_path_runs(edition, solved, tmp_path):
+    copy = run_quickly(edition(short_path(FOLDER)), "short_path.ipynb", tmp_path)
+    verdicts = [joined(o["data"]["text/plain"]) for o in outputs(copy) if "gsnb-verdict" in str(o.get("data"))]
+    assert len(verdicts) == 5
+    assert all(verdict.startswith("✓") if solved else "not written" in verdict for verdict in verdicts)

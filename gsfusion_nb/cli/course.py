@@ -8,7 +8,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -25,6 +25,8 @@ class CourseOptions:
     folder: Annotated[Path | None, tyro.conf.Positional] = None
     """Where to write the notebooks, without solutions, and the documentation that they link to. A notebook
     that is there already stays; to get its newest edition, rename yours."""
+    path: Literal["whole", "short"] = "whole"
+    """whole: all chapters, about 27 hours. short: one notebook of two hours, from one frame to a seeding rule."""
     open: bool = False
     """Then open the first one in JupyterLab."""
     for_class: bool = False
@@ -82,10 +84,16 @@ def run(arguments: list[str]) -> int:
 def _copy(folder: Path, options: CourseOptions) -> int:
     """Write the notebooks and say how to open them, or open them."""
     from ..course.copies import FIRST, copy_for_class, copy_for_learner, notebooks_folder
+    from ..course.short_path import SHORT_PATH
 
-    for path in copy_for_class(notebooks_folder(), folder) if options.for_class else copy_for_learner(folder):
+    short = options.path == "short"
+    if options.for_class:
+        written = copy_for_class(notebooks_folder(), folder, short=short)
+    else:
+        written = copy_for_learner(folder, short=short)
+    for path in written:
         print(f"wrote {path}")
-    first = str(folder / FIRST)
+    first = str(folder / (SHORT_PATH if short else FIRST))
     if not options.open:
         word = quoted(first, windows=sys.platform == "win32")
         print(f"The notebooks are in {folder}. To open the first one: jupyter lab {word}")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..files import read_object, write_file
+from .short_path import SHORT_PATH, short_path
 
 FIRST = "00_quickstart.ipynb"
 DOCUMENTATION = "documentation"
@@ -146,11 +147,11 @@ def documentation_pages(docs: Path) -> dict[str, bytes]:
     return found | {f"{DOCUMENTATION}/images/{path.name}": path.read_bytes() for path in pictures}
 
 
-def copy_for_learner(target: Path) -> list[Path]:
+def copy_for_learner(target: Path, *, short: bool = False) -> list[Path]:
     """The learner's edition of the installed notebooks in the folder ``target``; those that are there already stay.
 
-    The pages of the documentation come along, unless ``target`` is a folder of a clone, whose own pages links lead to.
-    Returns the notebooks that were written.
+    With ``short`` it is the notebook of the short path. The pages of the documentation come along, unless ``target`` is
+    a folder of a clone, whose own pages links lead to. Returns the notebooks that were written.
 
     Raises:
         NotADirectoryError: ``target`` is a file. FileNotFoundError: this installation has no notebooks.
@@ -159,10 +160,13 @@ def copy_for_learner(target: Path) -> list[Path]:
         raise NotADirectoryError(f"{target} is a file; expected a folder for the notebooks")
     docs, notebooks = docs_folder(), notebooks_folder()
     in_clone = docs is not None and target.resolve().parent == docs.parent == notebooks.parent
-    return hand_out(notebooks, target, None if in_clone or docs is None else documentation_pages(docs))
+    pages = None if in_clone or docs is None else documentation_pages(docs)
+    return hand_out(notebooks, target, pages, short=short)
 
 
-def hand_out(source: Path, target: Path, pages: Mapping[str, bytes] | None = None) -> list[Path]:
+def hand_out(
+    source: Path, target: Path, pages: Mapping[str, bytes] | None = None, *, short: bool = False
+) -> list[Path]:
     """Write the learner's edition of the notebooks of a folder into the folder ``target``, which may hold earlier work.
 
     Args:
@@ -170,6 +174,7 @@ def hand_out(source: Path, target: Path, pages: Mapping[str, bytes] | None = Non
         target: Where the copies go.
         pages: Pages of the documentation (``documentation_pages``) to write beside them, which links then lead to. By
             default none: ``target`` is a folder of the project.
+        short: The notebook of the short path in place of the chapters.
 
     Returns:
         The notebooks that were written; those that are there already stay.
@@ -178,48 +183,52 @@ def hand_out(source: Path, target: Path, pages: Mapping[str, bytes] | None = Non
         ValueError: no notebook in ``source``, ``target`` is ``source``, or unbalanced markers.
     """
     written = []
-    for path in _notebooks(source, target):
-        if (target / path.name).exists():
+    for name, notebook in _notebooks(source, target, short=short).items():
+        if (target / name).exists():
             continue
-        text = _as_text(path, learner_copy)
+        text = _as_text(name, learner_copy, notebook)
         if pages is not None:  # links of stored outputs to source files become text; run, they link to installed files
             text = _TO_A_SOURCE_FILE.sub(r"\1", _TO_A_PAGE.sub(f"]({DOCUMENTATION}/", text))
-        write_file(target / path.name, text)
-        written.append(target / path.name)
+        write_file(target / name, text)
+        written.append(target / name)
     for name, content in (pages or {}).items():
         write_file(target / name, content)
     return written
 
 
-def copy_for_class(source: Path, target: Path) -> list[Path]:
+def copy_for_class(source: Path, target: Path, *, short: bool = False) -> list[Path]:
     """Write a student's copy of the notebooks of a folder, or of one notebook. Returns the files written.
 
     Args:
         source: A folder of notebooks, or one notebook.
         target: Created if it does not exist. Notebooks of the same name in it are replaced.
+        short: The notebook of the short path in place of the chapters.
 
     Raises:
         ValueError: no notebook at ``source``, ``target`` is the source's folder, or unbalanced markers.
     """
     written = []
-    for path in _notebooks(source, target):
-        written.append(target / path.name)
-        write_file(written[-1], _as_text(path, without_solutions))
+    for name, notebook in _notebooks(source, target, short=short).items():
+        written.append(target / name)
+        write_file(written[-1], _as_text(name, without_solutions, notebook))
     return written
 
 
-def _notebooks(source: Path, target: Path) -> list[Path]:
+def _notebooks(source: Path, target: Path, *, short: bool) -> dict[str, Any]:
+    """File name -> the notebook as read from JSON."""
     notebooks = [source] if source.is_file() else sorted(source.glob("*.ipynb"))
     if not notebooks:
         raise ValueError(f"there is no notebook at {source}")
     if target.resolve() == notebooks[0].parent.resolve():
         raise ValueError(f"the copies would replace the notebooks in {target}; choose another folder")
     target.mkdir(parents=True, exist_ok=True)
-    return notebooks
+    if short:
+        return {SHORT_PATH: short_path(source)}
+    return {path.name: read_object(path, "a notebook") for path in notebooks}
 
 
-def _as_text(path: Path, change: Any) -> str:
+def _as_text(name: str, change: Any, notebook: dict[str, Any]) -> str:
     try:
-        return json.dumps(change(read_object(path, "a notebook")), indent=1, ensure_ascii=False) + "\n"
+        return json.dumps(change(notebook), indent=1, ensure_ascii=False) + "\n"
     except ValueError as e:
-        raise ValueError(f"{path}: {e}") from None
+        raise ValueError(f"{name}: {e}") from None

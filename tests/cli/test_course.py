@@ -71,6 +71,17 @@ def test_the_notebooks_in_a_folder(tmp_path, capsys):
     assert "documentation/seeding_lab.md" in (folder / "09_write_your_own_seeding_rule.ipynb").read_text()
 
 
+def test_the_short_path_is_one_notebook(tmp_path):
+    assert main(["course", str(tmp_path), "--path", "short"]) == 0
+    (path,) = tmp_path.glob("*.ipynb")
+    assert path.name == "short_path.ipynb"
+    assert "SOLUTION" not in path.read_text()
+    assert dead_links(tmp_path) == []
+    path.write_text("mine")
+    assert main(["course", str(tmp_path), "--path", "short"]) == 0
+    assert path.read_text() == "mine"
+
+
 def dead_links(folder: Path) -> list[str]:
     """Links of notebooks and pages in a folder that lead to no file."""
     texts: list[tuple[Path, str]] = [(path, path.read_text()) for path in folder.rglob("*.md")]
@@ -114,7 +125,7 @@ def test_the_wheel_holds_the_notebooks_and_the_licence(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     assert wheel.name.endswith("-py3-none-any.whl")  # nothing to compile
-    assert sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 13
+    assert sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 14  # with the short path
     assert "gsfusion_nb/docs/seeding_lab.md" in names  # what the notebooks link to
     assert any(name.endswith("/licenses/LICENSE") for name in names)
     assert "gsfusion_nb/kernels/project/numba.py" in names

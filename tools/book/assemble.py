@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import importlib
 import inspect
+import json
 import posixpath
 import shutil
 from collections.abc import Mapping, Sequence
@@ -14,7 +15,7 @@ from quiz import INTRODUCTION, PROMPT, Question
 
 from gsfusion_nb.course.copies import FIRST
 from gsfusion_nb.course.course import TITLES
-from gsfusion_nb.files import read_object
+from gsfusion_nb.course.short_path import SHORT_PATH, short_path
 
 from .chapters import Chapter, Places, in_the_book, raw
 
@@ -25,10 +26,13 @@ MOVING_MAP = '<div class="gsnb-moving-map"></div><script defer src="../_static/m
 def opening_bar(notebook: str) -> str:
     """HTML under a chapter's title; ``notebook`` is its path in the project."""
     name = escape(notebook.rpartition("/")[2])
+    short = name == SHORT_PATH
+    run = "gsfusion-nb course course --path short --open" if short else "make lab"
+    then = "" if short else f", then open <code>course/{name}</code>"
     return (
         f'<div class="gsnb-open"><a href="{name}" download>Download this notebook</a> '
         f"<details><summary>Run it in JupyterLab</summary>"
-        f"<p>In the project's folder: <code>make lab</code>, then open <code>course/{name}</code>: a copy with "
+        f"<p>In the project's folder: <code>{run}</code>{then}: a copy with "
         f"empty exercises, which is yours to change. With pip: "
         f'<a href="../docs/install.html">installing</a>.</p></details></div>'
     )
@@ -101,6 +105,8 @@ QUIZ = "docs/teaching/quiz"
 """Where the book has the pages of questions, which are made when it is built."""
 ARCHIVE = "gsfusion_nb_book.zip"
 """Name of the file with the whole site."""
+_SHORT = f"notebooks/{SHORT_PATH}"
+"""The notebook of the short path, which is made when the book is built."""
 _PICTURES = (".jpg", ".png", ".svg")
 
 
@@ -116,7 +122,7 @@ class Assembly:
 
     def __init__(self, places: Places, pages: Path, extra: Path, quiz: Mapping[int, Sequence[Question]]):
         self.quiz = {f"{QUIZ}/chapter_{n:02}.md": quiz_page(n, own) for n, own in quiz.items()}
-        self.places = dataclasses.replace(places, files=places.files | frozenset(self.quiz))
+        self.places = dataclasses.replace(places, files=places.files | {*self.quiz, _SHORT})
         self.pages, self.extra = pages, extra
 
     def write(self) -> None:
@@ -139,13 +145,14 @@ class Assembly:
         self._put(self.pages / "index.md", in_the_book(text, "index.md", self.places))
 
     def _chapter(self, path: str) -> None:
-        notebook = self.places.root / path
+        file = self.places.root / path
+        content = json.dumps(short_path(file.parent)).encode() if path == _SHORT else file.read_bytes()
         bar = (MOVING_MAP if path.endswith(FIRST) else "") + opening_bar(path)
-        chapter = Chapter(read_object(notebook, "a notebook"), path, self.places, bar=bar)
+        chapter = Chapter(json.loads(content), path, self.places, bar=bar)
         self._put(self.pages / f"{path.removesuffix('.ipynb')}.md", chapter.markdown())
-        for address, content in chapter.files.items():
-            self._put(self.extra / posixpath.dirname(path) / address, content)
-        self._put(self.extra / path, notebook.read_bytes())
+        for address, picture in chapter.files.items():
+            self._put(self.extra / posixpath.dirname(path) / address, picture)
+        self._put(self.extra / path, content)
 
     def _put(self, path: Path, content: str | bytes) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)

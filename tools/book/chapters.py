@@ -169,7 +169,8 @@ class Chapter:
         if self._came:  # the outputs between what came and the next text wait for the prediction, too
             self._asked, self._came = "", False
         text = in_the_book(_ATTACHED.sub("", "".join(cell["source"])), self.page, self.places)
-        return numbered(text, str(int(self.stem[:2])), lambda: next(self._equations))
+        number = self.stem.partition("_")[0].removeprefix("0")
+        return numbered(text, number, lambda: next(self._equations))
 
     def _code(self, cell: Mapping[str, Any]) -> str:
         source = "".join(cell["source"]).strip()

@@ -23,14 +23,14 @@ def panel_html(cell: str) -> str:
         return ""
     text = (_FOLDER / f"{PANELS[cell]}.html").read_text(encoding="utf-8")
     script = f'<script defer src="../_static/live_{PANELS[cell]}.js"></script>'
-    return f'<section class="gsnb-live">{text}<div></div></section>{script}'
+    return f'<section class="gsnb-live" id="live-{PANELS[cell]}">{text}<div></div></section>{script}'
 
 
 def panel_script(name: str) -> str:
     """What draws a panel: the formulas, the controls, the panel's own part, and its numbers."""
     data = f"const DATA = {json.dumps(panel_data(name))};\n"
     parts = [(_FOLDER / f"{part}.js").read_text(encoding="utf-8") for part in ("formulas", "panel", name)]
-    return f"(() => {{\n{data}{''.join(parts)}start(document.querySelector('.gsnb-live > div'));\n}})();\n"
+    return f"(() => {{\n{data}{''.join(parts)}start(document.querySelector('#live-{name} > div'));\n}})();\n"
 
 
 def panel_data(name: str) -> dict[str, object]:
