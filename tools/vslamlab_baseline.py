@@ -11,7 +11,6 @@ import os
 import sys
 from pathlib import Path
 
-SYSTEMS = ("gsfusion", "rtg_slam", "gps_slam")
 try:
     from Baselines.BaselineVSLAMLab import BaselineVSLAMLab  # pyright: ignore[reportMissingImports]
 except ImportError:
@@ -35,13 +34,11 @@ class GSFUSIONNB_baseline(BaselineVSLAMLab):
         options = " ".join(f"--{name} {value}" for name, value in given.items())
         return f"{os.environ.get('GSFUSION_PYTHON', 'python3')} {Path(__file__).resolve()} {options}"
 
-    def is_cloned(self) -> bool:
-        """Nothing has to be cloned."""
-        return True
-
     def is_installed(self) -> tuple[bool, str]:
-        """Nothing is installed by VSLAM-LAB."""
+        """Nothing is cloned or installed by VSLAM-LAB."""
         return True, "in the Python that GSFUSION_PYTHON names"
+
+    is_cloned = is_installed
 
 
 def read_sequence(args: argparse.Namespace):
@@ -79,7 +76,7 @@ def read_sequence(args: argparse.Namespace):
         timestamps_s=[int(row[f"ts_{rgb} (ns)"]) / 1e9 for row in rows],
         depth_times_s=[int(row[f"ts_{depth} (ns)"]) / 1e9 for row in rows],
         poses=no_poses(len(rows)),
-        pose_sources=["no poses"] * len(rows),
+        pose_sources=[""] * len(rows),
         has_poses=False,
         depth_scale=float(told["depth_factor"]),
         rectify=undistorter,
@@ -92,12 +89,10 @@ def main(arguments: list[str] | None = None) -> int:
     from gsfusion_nb.mapping import get_system
     from gsfusion_nb.runs import run_mapping
 
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("sequence_path", "calibration_yaml", "rgb_csv", "exp_folder"):
-        parser.add_argument(f"--{name}", type=Path, required=True)
-    parser.add_argument("--system", choices=SYSTEMS, default="gsfusion")
-    for name, value in (("exp_it", 0), ("width", 320), ("height", 240)):
-        parser.add_argument(f"--{name}", type=int, default=value)
+    parser = argparse.ArgumentParser(description=__doc__)
+    kinds = dict.fromkeys(("sequence_path", "calibration_yaml", "rgb_csv", "exp_folder"), Path)
+    for name, kind in (kinds | {"system": str, "exp_it": int, "width": int, "height": int}).items():
+        parser.add_argument(f"--{name}", type=kind, required=True)
     args, _ = parser.parse_known_args(arguments)
     sequence, stamps = read_sequence(args)
     size = {"data__width": args.width, "data__height": args.height, "data__hold_out_every": 0}

@@ -1,7 +1,6 @@
 """Matching of features with features and with known 3D points, and the relative pose that follows from them."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -10,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from torch import Tensor
 
-from ..backends import op
 from ..checks import check_array, check_positive
 from ..geometry import se3
 from ..geometry.operands import check_view
@@ -48,13 +46,6 @@ class RelativePose:
     """Number of matches before the geometric test."""
 
 
-def check_both(query: Any, reference: Any) -> None:
-    """Raise ``ValueError`` for arguments that ``match_features`` refuses."""
-    for name, features in (("query", query), ("reference", reference)):
-        check_features(name, features)
-
-
-@op("matching", check_both)
 def match_features(query: Features, reference: Features) -> Int[Tensor, "P 2"]:
     """Pairs of rows that are each other's nearest descriptor and clearly nearer than the second nearest.
 
@@ -64,8 +55,13 @@ def match_features(query: Features, reference: Features) -> Int[Tensor, "P 2"]:
     Returns:
         (query row, reference row), in the order of the query. [P, 2]
 
+    Raises:
+        ValueError: impossible features.
+
     Differentiable: no.
     """
+    for name, features in (("query", query), ("reference", reference)):
+        check_features(name, features)
     nothing = torch.zeros((0, 2), dtype=torch.int64)
     if len(query) < 2 or len(reference) < 2:
         return nothing
@@ -179,16 +175,6 @@ SEARCHED_FROM_M = 0.1
 _BIT_COUNT = np.array([bin(word).count("1") for word in range(1 << 16)], np.uint8)
 
 
-def check_found_near(camera: Any, xyz_W: Any, descriptors: Any, features: Any, T_WC: Any, radius_px: float) -> None:
-    """Raise ``ValueError`` for arguments that ``found_near`` refuses."""
-    check_view(camera, T_WC, torch.device("cpu"))
-    check_array("xyz_W", xyz_W, ("N", 3), np.float64)
-    check_array("descriptors", descriptors, (len(xyz_W), DESCRIPTOR_BYTES), np.uint8)
-    check_features("features", features)
-    check_positive("radius_px", radius_px)
-
-
-@op("matching", check_found_near)
 def found_near(
     camera: Camera, xyz_W: ndarray, descriptors: ndarray, features: Features, T_WC: Tensor, radius_px: float
 ) -> Int[ndarray, "P 2"]:
@@ -205,10 +191,18 @@ def found_near(
     Returns:
         (feature row, point row), in the order of the features. [P, 2]
 
+    Raises:
+        ValueError: impossible arguments.
+
     Differentiable: no.
     """
     from scipy.spatial import KDTree
 
+    check_view(camera, T_WC, torch.device("cpu"))
+    check_array("xyz_W", xyz_W, ("N", 3), np.float64)
+    check_array("descriptors", descriptors, (len(xyz_W), DESCRIPTOR_BYTES), np.uint8)
+    check_features("features", features)
+    check_positive("radius_px", radius_px)
     uv, seen = in_view(camera, xyz_W, T_WC, radius_px)
     point = seen.nonzero()[0]
     if len(point) == 0 or len(features) == 0:

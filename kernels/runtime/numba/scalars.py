@@ -1,15 +1,7 @@
-"""Small functions of numba kernels: bits, tasks dealt out in turn to threads, twists."""
+"""Small functions of numba kernels: tasks dealt out in turn to threads, twists."""
 
 import numpy as np
-from numba import njit, types
-from numba.core.extending import intrinsic
-
-
-@intrinsic
-def popcount(typingctx, word):
-    """Number of ones in a uint64, int64."""
-    return types.int64(types.uint64), lambda context, builder, sig, args: builder.ctpop(args[0])
-
+from numba import njit
 
 GROUPS = 16
 
