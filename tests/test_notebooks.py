@@ -167,7 +167,8 @@ def test_code_cells_parse_and_are_short(path):
 @functools.cache
 def not_from_setup() -> list[str]:
     """Modules that are installed here but not by ``make setup``."""
-    wanted, todo = {"pip", "setuptools"}, [("gsfusion-nb", ())]
+    wanted: set[str] = {"pip", "setuptools"}
+    todo: list[tuple[str, tuple[str, ...]]] = [("gsfusion-nb", ())]
     while todo:
         name, extras = todo.pop()
         wanted.add(canonicalize_name(name))
@@ -226,8 +227,10 @@ def test_the_student_copy_runs_with_nothing_solved(path, tmp_path):
     assert not any(verdict.startswith("✓") for verdict in verdicts)
 
 
-@pytest.mark.parametrize(("edition", "solved"), [(without_solutions, False), (dict, True)])
-@pytest.mark.ci
+@pytest.mark.parametrize(
+    ("edition", "solved"),
+    [pytest.param(without_solutions, False, marks=pytest.mark.ci), pytest.param(dict, True, marks=pytest.mark.slow)],
+)
 def test_the_short_path_runs(edition, solved, tmp_path):
     copy = run_quickly(edition(short_path(FOLDER)), "short_path.ipynb", tmp_path)
     verdicts = [joined(o["data"]["text/plain"]) for o in outputs(copy) if "gsnb-verdict" in str(o.get("data"))]

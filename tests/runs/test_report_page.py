@@ -178,8 +178,9 @@ def test_panel_of_a_frame_scores_the_render(generator):
 
 def test_two_systems_side_by_side(config, tmp_path):
     configs = {"one": config, "other": replace(gps_slam("room", final__passes=0), data=config.data)}
-    small = {"n_frames": 120, "width": 80, "height": 60}
-    runs = [run_mapping("room", c, folder=tmp_path / name, **small) for name, c in configs.items()]
+    runs = [
+        run_mapping("room", c, folder=tmp_path / name, n_frames=120, width=80, height=60) for name, c in configs.items()
+    ]
     page = Page(write_side_by_side(tmp_path / "report.html", runs).read_text(encoding="utf-8"))
     assert {ref for ref in page.references if not ref.startswith("data:")} == {"one/report.html", "other/report.html"}
     assert all((tmp_path / name / "report.html").is_file() for name in configs)
