@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from ..files import read_object
+from ..files import read_object, read_text
 
 Cell = dict[str, Any]
 
@@ -34,7 +34,7 @@ def short_path(folder: Path) -> dict[str, Any]:
         ValueError: a cell that ``short_path.toml`` names is not in its chapter.
     """
     plan = folder / "short_path.toml"
-    parts = tomllib.loads(plan.read_text(encoding="utf-8"))["part"]
+    parts = tomllib.loads(read_text(plan, "the parts of the short path"))["part"]
     chapters = {path.name[:2]: read_object(path, "a notebook") for path in sorted(folder.glob("*.ipynb"))}
     stored = {f"{number}/{cell['id']}": cell for number, chapter in chapters.items() for cell in chapter["cells"]}
     named = [name for part in parts for name in part["cells"]]
