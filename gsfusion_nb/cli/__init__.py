@@ -163,15 +163,16 @@ def _demo(arguments: list[str]) -> int:
     from ..runs.side_by_side import numbers_of, write_side_by_side
 
     options = parse_options(DemoOptions, prog="gsfusion-nb demo", arguments=arguments)
-    folder, runs = new_folder("room", options.out or None), []
-    print("Mapping the built-in room; the first run also renders its images and stores them.")
-    for name, config in (("gsfusion", gsfusion("room")), ("gps_slam", gps_slam("room"))):
-        with use_backend(options.backend):
+    runs = []
+    with use_backend(options.backend):
+        folder = new_folder("room", options.out or None)
+        print("Mapping the built-in room; the first run also renders its images and stores them.")
+        for name, config in (("gsfusion", gsfusion("room")), ("gps_slam", gps_slam("room"))):
             run = run_mapping("room", config, folder=folder / name, n_frames=options.frames)
-        if run.run.status != "complete":
-            return print_result(run)
-        runs.append(run)
-    page = write_side_by_side(folder / "report.html", runs)
+            if run.run.status != "complete":
+                return print_result(run)
+            runs.append(run)
+        page = write_side_by_side(folder / "report.html", runs)
     for cells in numbers_of(runs):
         print(f"{cells[0]:<30}" + "".join(f"{cell:>18}" for cell in cells[1:]))
     print("Both maps, trajectory, numbers and report of each:", *(run.folder for run in runs))

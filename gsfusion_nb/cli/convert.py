@@ -22,20 +22,26 @@ CONVERTED = Path("converted")
 def convert_or_ask(
     source: str | Path, out: str | Path, *, format: str = "auto", options: ConvertOptions | None = None
 ) -> ConvertReport:
-    """``convert`` with a progress bar; what a recording does not say is asked for, if somebody is at a terminal.
+    """``convert`` with a progress bar; what a recording does not say is asked for, if somebody is at a terminal,
+    and once more where the recording cannot be read with the answer.
 
     Raises:
         OptionNeeded: nobody can be asked; the message names the option that answers the question.
         SequenceError, FileExistsError, KeyError: as ``convert``.
     """
-    options = options or ConvertOptions()
+    options, asked = options or ConvertOptions(), None
     while True:
         try:
             return convert(source, out, format=format, options=options, progress=True)
         except OptionNeeded as needed:
             if not (sys.stdin.isatty() and sys.stdout.isatty()):
                 raise
-            options = _answered(options, needed)
+            asked = options, needed
+        except SequenceError as e:
+            if asked is None:
+                raise
+            print(e)
+        options = _answered(*asked)
 
 
 def _answered(options: ConvertOptions, needed: OptionNeeded) -> ConvertOptions:

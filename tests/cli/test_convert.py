@@ -35,13 +35,14 @@ def terminal(monkeypatch):
 
 
 def test_one_question_at_a_time(scan, terminal, capsys):
-    asked = terminal("2", "none", "265.7")
+    asked = terminal("2", "nowhere.txt", "none", "265.7")
     folder, tracked = mappable(str(scan))
-    assert asked == ["--depth ", "--poses ", "--intrinsics "]
+    assert asked == ["--depth ", "--poses ", "--poses ", "--intrinsics "]
     assert tracked
     text = capsys.readouterr().out
     assert "Which of these is depth?\n  1: depth/*.jpg" not in text
     assert "  2: depth_raw/*.png" in text
+    assert "nowhere.txt does not exist" in text
     sequence = open_sequence(folder, poses=False).source
     assert (len(sequence), sequence.camera.fx) == (8, 265.7)
     assert mappable(str(scan)) == (folder, True)
