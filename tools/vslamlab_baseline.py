@@ -8,6 +8,7 @@ any Python of its own, which GSFUSION_PYTHON names. The maps, numbers and report
 import argparse
 import csv
 import os
+import shlex
 import sys
 from pathlib import Path
 
@@ -31,8 +32,8 @@ class GSFUSIONNB_baseline(BaselineVSLAMLab):
         given = {name: exp.parameters.get(name, value) for name, value in self.default_parameters.items()}
         given |= {"system": self.baseline_name, "sequence_path": sequence, "rgb_csv": folder / "rgb_exp.csv"}
         given |= {"calibration_yaml": sequence / "calibration.yaml", "exp_folder": folder, "exp_it": exp_it}
-        options = " ".join(f"--{name} {value}" for name, value in given.items())
-        return f"{os.environ.get('GSFUSION_PYTHON', 'python3')} {Path(__file__).resolve()} {options}"
+        program = [os.environ.get("GSFUSION_PYTHON", "python3"), str(Path(__file__).resolve())]
+        return shlex.join([*program, *(f"--{name}={value}" for name, value in given.items())])
 
     def is_installed(self) -> tuple[bool, str]:
         """Nothing is cloned or installed by VSLAM-LAB."""
