@@ -1,6 +1,6 @@
 """A recording walked forth and back: ``python docs/measured/look_again.py FOLDER SYSTEM SEED [always]``.
 
-With ``always``, GPS-SLAM takes keyframes and seeds also where it has been before.
+With ``always``, keyframes and seeds of GPS-SLAM also come where the camera has been before.
 """
 
 import dataclasses
@@ -9,14 +9,14 @@ import sys
 
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.mapping import gps_slam
+from gsfusion_nb.mapping import tsdf_mapping
 from gsfusion_nb.mapping.step import psnr_from_mse
 from gsfusion_nb.mapping.systems import SYSTEMS
 
 ROUNDS = 6
 folder, name, seed, *always = sys.argv[1:]
 if always:
-    gps_slam.SEEN_WITHIN_M = -1.0
+    tsdf_mapping.SEEN_WITHIN_M = -1.0
 sequence = open_sequence(folder, data=DataConfig(width=320, height=240, hold_out_every=8))
 walk = [sequence.mapping[i] for i in range(len(sequence.mapping))]
 held_out = [sequence.held_out[i] for i in range(len(sequence.held_out))]

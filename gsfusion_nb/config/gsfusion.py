@@ -97,9 +97,9 @@ class GSFusionConfig(SystemConfig):
     decides, as published. Above 0, all seeding rules get the same number of optimisation steps. Larger: fewer
     keyframes. Usual: 0, or 3 to 10."""
     keyframe_max_gap: int = within(0, 0)
-    """Largest number of mapped frames from one keyframe to the next, however few Gaussians they add; 0: no limit, as
-    published. A camera that sees nothing new would otherwise have one keyframe, which the map overfits. Smaller: more
-    keyframes, more memory and longer passes. Usual: 5 to 20."""
+    """Largest number of mapped frames from one keyframe to the next, however few Gaussians they add, except where an
+    earlier keyframe shows the same; 0: no limit, as published. A camera that sees nothing new would otherwise have one
+    keyframe, which the map overfits. Smaller: more keyframes, more memory and longer passes. Usual: 5 to 20."""
     keep_all_frames: bool = False
     """Keep every frame, not only keyframes, for optimising earlier views and for the passes after the scan (ScanNet++,
     whose views are far apart). On: more memory and a longer optimisation after the scan."""

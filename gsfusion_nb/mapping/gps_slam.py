@@ -26,9 +26,6 @@ from .tsdf_mapping import TsdfMapping
 LEAST_OPACITY = 0.005
 """Gaussians with a smaller opacity are removed (released code)."""
 
-SEEN_WITHIN_M, SEEN_WITHIN_DEG, LATEST = 0.1, 10.0, 10
-"""A frame shows nothing new if a keyframe was taken from a pose so near to its own, which is not one of the latest."""
-
 KEPT_BASES_BYTES = 256 << 20
 """Memory for the surfaces that the passes after the scan have seen; the others are looked at anew in each pass."""
 
@@ -121,12 +118,7 @@ class GPSSLAM(TsdfMapping):
         return bool(due) and not self._seen_before(frame)
 
     def _seen_before(self, frame: Frame) -> bool:
-        """Whether an earlier keyframe shows what the frame shows; as released, nobody asks."""
-        if not self.config.views.every_frames:
-            return False
-        T_WC, earlier = frame.T_WC.cpu(), self.keyframes.T_WC[:-LATEST]
-        near = earlier[(earlier[:, :3, 3] - T_WC[:3, 3]).norm(dim=1) <= SEEN_WITHIN_M]
-        return bool((se3.rotation_angle(near[:, :3, :3].mT @ T_WC[:3, :3]).rad2deg() <= SEEN_WITHIN_DEG).any())
+        return bool(self.config.views.every_frames) and super()._seen_before(frame)  # as released, nobody asks
 
     def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""

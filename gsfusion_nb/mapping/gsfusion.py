@@ -87,7 +87,7 @@ class GSFusion(TsdfMapping):
             return self.n_frames % every == 0
         mapped, last = self.localiser.frame_indices, self.keyframes[-1].index if len(self.keyframes) else None
         overdue = gap and last is not None and len(mapped) - bisect.bisect_left(mapped, last) >= gap
-        return True if overdue else None
+        return True if overdue and not self._seen_before(frame) else None
 
     @property
     def n_passes(self) -> int:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..files import BadFrameError
-from ..geometry import backproject
+from ..geometry import backproject, se3
 from ..seeding import SeedContext
 from ..tracking import Correction
 from ..tsdf import NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, integrate, new_band_blocks, raycast
@@ -18,6 +18,9 @@ from .step import StepReport
 
 MOVED_VOXELS = 0.5
 """The volume is made again when a frame's surface has moved by more than this many voxels."""
+
+SEEN_WITHIN_M, SEEN_WITHIN_DEG, LATEST = 0.1, 10.0, 10
+"""A frame shows nothing new if a keyframe was taken from a pose so near to its own, which is not one of the latest."""
 
 
 class FusedFrames:
@@ -148,6 +151,12 @@ class TsdfMapping(Mapper):
             f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "
             f"({median}), so nothing was mapped from it; check the depth scale",
         ]
+
+    def _seen_before(self, frame: Frame) -> bool:
+        """Whether an earlier keyframe shows what the frame shows."""
+        T_WC, earlier = frame.T_WC.cpu(), self.keyframes.T_WC[:-LATEST]
+        near = earlier[(earlier[:, :3, 3] - T_WC[:3, 3]).norm(dim=1) <= SEEN_WITHIN_M]
+        return bool((se3.rotation_angle(near[:, :3, :3].mT @ T_WC[:3, :3]).rad2deg() <= SEEN_WITHIN_DEG).any())
 
     def constant_tensors(self) -> list[Tensor]:
         """Images of keyframes and of the frames in the TSDF."""

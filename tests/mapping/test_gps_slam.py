@@ -12,8 +12,7 @@ from gsfusion_nb.config import (
 )
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.mapping import GPSSLAM, make_mapper
-from gsfusion_nb.mapping import gps_slam as gps_slam_module
+from gsfusion_nb.mapping import GPSSLAM, make_mapper, tsdf_mapping
 from gsfusion_nb.mapping.gps_views import ViewRound
 from gsfusion_nb.optim import fit_pose_by_flow
 from gsfusion_nb.render import base_view
@@ -98,7 +97,7 @@ def test_a_keyframe_is_more_than_30_cm_or_30_degrees_away(run):
 def test_looking_again_adds_few_keyframes_and_few_gaussians(run, monkeypatch):
     """The same walk back and forth: numbers after the first walk and at the end, and where nothing counts as seen."""
     frames = list(run.sequence.mapping)[:24]
-    monkeypatch.setattr(gps_slam_module, "LATEST", 3)
+    monkeypatch.setattr(tsdf_mapping, "LATEST", 3)
 
     def sizes() -> list[tuple[int, int]]:
         mapper, found = make_mapper(run.mapper.config), []
@@ -109,7 +108,7 @@ def test_looking_again_adds_few_keyframes_and_few_gaussians(run, monkeypatch):
         return [found[0], found[-1]]
 
     first, last = sizes()
-    monkeypatch.setattr(gps_slam_module, "SEEN_WITHIN_M", -1.0)
+    monkeypatch.setattr(tsdf_mapping, "SEEN_WITHIN_M", -1.0)
     first_without, last_without = sizes()
     assert first == first_without
     assert (first[0], last_without[0]) == (12, 48)

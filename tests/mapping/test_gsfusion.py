@@ -49,8 +49,9 @@ def test_steps_per_frame_follow_the_paper(split, config):
 
 
 def test_a_camera_that_sees_nothing_new_makes_keyframes_too(split, config):
-    still = [dataclasses.replace(split.mapping[0], index=k) for k in range(8)]
-    for gap, expected in ((0, [0]), (3, [0, 3, 6])):
+    """With many keyframes from one place, an earlier one shows what the frame shows."""
+    still = [dataclasses.replace(split.mapping[0], index=k) for k in range(13)]
+    for gap, expected in ((0, [0]), (3, [0, 3, 6, 9, 12]), (1, list(range(11)))):
         mapper = GSFusion(replace(config, keyframe_max_gap=gap))
         reports = [mapper.step(frame) for frame in still]
         assert [k.index for k in mapper.keyframes] == expected
