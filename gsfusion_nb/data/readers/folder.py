@@ -5,7 +5,8 @@
       depth/000000.png ...      16-bit, one channel, registered to the colour image; 0 = missing; same names as in rgb/
       poses.txt                 one line per image in order: 16 row-major numbers of the camera-to-world matrix, or the
                                 name of the image and these
-      times.txt                 optional, lines "name seconds": when each image was taken
+      times.txt                 optional, lines "name seconds": when each image was taken; or "name seconds seconds",
+                                with the time of its depth, which is then moved to where the camera was for the colour
       intrinsics.json           {"width": 640, "height": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5,
                                  "depth_scale": 1000}
 
@@ -67,7 +68,8 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
         values,
         rgb_files=rgb_files,
         depth_files=depth_files,
-        timestamps_s=times or [i / values.get("fps", 30.0) for i in range(len(rgb_files))],
+        timestamps_s=[t for t, _ in times or []] or [i / values.get("fps", 30.0) for i in range(len(rgb_files))],
+        depth_times_s=[t for _, t in times] if times and any(t != t_depth for t, t_depth in times) else None,
         no_times="" if "fps" in values else no_times,
         poses=T_WC,
         pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],

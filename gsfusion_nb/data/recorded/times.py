@@ -67,28 +67,32 @@ def read_image_list(path: Path) -> tuple[list[float], list[Path]]:
     return numbers, files
 
 
-def times_of_images(path: Path, images: list[Path]) -> tuple[list[float] | None, str]:
-    """Seconds of each image by its name, from lines "name seconds"; or ``None`` and the reason why there are none.
+def times_of_images(path: Path, images: list[Path]) -> tuple[list[tuple[float, float]] | None, str]:
+    """Seconds of each image and of its depth, by its name, from lines "name seconds" or "name seconds depth_seconds".
+
+    Returns:
+        The times, or ``None`` and the reason why there are none.
 
     Raises:
-        SequenceError: a line that is not a name and a number, or an image that is not in the file.
+        SequenceError: a line that is not a name and one or two numbers, or an image that is not in the file.
     """
     if not path.is_file():
         return None, f"there is no {path.name}"
-    time_of: dict[str, float] = {}
+    time_of: dict[str, tuple[float, float]] = {}
     for number, words in read_words(path, "lines 'name seconds'"):
-        if words == ["frame", "time_s"]:
+        if words[:2] == ["frame", "time_s"]:
             continue
         try:
-            name, value = words
-            time_of[image_key(name)] = float(value)
+            name, value, *of_depth = words
+            (depth_value,) = of_depth or [value]
+            time_of[image_key(name)] = float(value), float(depth_value)
         except ValueError:
             raise SequenceError(f"{path} line {number} must be 'name seconds', got {shown(' '.join(words))}") from None
     lacking = [image for image in images if image_key(image.stem) not in time_of]
     if lacking:
         raise SequenceError(f"{path} has no time of {lacking[0]}; expected one per image")
     times = [time_of[image_key(image.stem)] for image in images]
-    if not all(math.isfinite(t) for t in times):
+    if not all(math.isfinite(t) for pair in times for t in pair):
         return None, f"{path.name} holds none"  # converted from a recording without times
     return times, ""
 

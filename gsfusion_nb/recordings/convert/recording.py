@@ -128,7 +128,7 @@ class RecordedFrame:
     source: str
     """Where it came from, for messages."""
     time_s: float | None
-    """Seconds; None where the format has no times."""
+    """When the colour image was taken, seconds; None where the format has no times."""
     model: CameraModel | None
     """Camera of the colour image; None if the format has none; then the user must give it."""
     load: Callable[[], RgbdImages]
@@ -139,6 +139,8 @@ class RecordedFrame:
     """Camera of the depth image; None: depth is registered to the colour image, whatever its size."""
     T_colour_depth: Float[Tensor, "4 4"] | None = None
     """From the depth camera's frame to the colour camera's; None: they are one camera."""
+    depth_time_s: float | None = None
+    """When the depth image was taken, seconds; None: with the colour image."""
 
     def __post_init__(self):
         for kind, model in (("colour", self.model), ("depth", self.depth_model)):

@@ -127,6 +127,7 @@ class _Conversion:
         self._dropped: Counter[str] = Counter()
         self._errors: list[str] = []
         self._times: list[float | None] = []
+        self._depth_times: list[float | None] = []
         self._lines: list[str] = []
         """The poses of the frames that were written."""
         self._far_pixels = 0
@@ -140,6 +141,9 @@ class _Conversion:
         if not self._poses.none:
             try:
                 T_WC, reason = self._poses.of(place, frame)
+                if T_WC is None and frame.depth_time_s is not None:  # poses may have the stamps of depth
+                    frame = dataclasses.replace(frame, time_s=frame.depth_time_s)
+                    T_WC, reason = self._poses.of(place, frame)
             except BadFrameError as e:
                 return self._drop("pose is not rigid", str(e))
             if T_WC is None:
@@ -169,6 +173,8 @@ class _Conversion:
         write_depth(self._folder / f"depth/{name}.png", depth, 1.0)
         self._far_pixels += int(far.sum())
         self._times.append(frame.time_s)
+        one_time = frame.depth_time_s is None or self._poses.by_place
+        self._depth_times.append(frame.time_s if one_time else frame.depth_time_s)
         if T_WC is not None:
             self._lines.append(" ".join(repr(v) for v in T_WC.flatten().tolist()))
         return None
@@ -191,7 +197,7 @@ class _Conversion:
             )
         if stamps.times_s is None:
             notes.append(f"the recorded times are not times: {stamps.why_not}; no times or frame rate are written")
-            self._times = [None] * len(self._times)
+            self._times = self._depth_times = [None] * len(self._times)
         report = ConvertReport(
             out=out,
             format=format,
@@ -212,10 +218,13 @@ class _Conversion:
             "depth_scale": self._depth_scale,
             **({"fps": 1.0 / statistics.median(steps)} if steps else {}),
         }
-        rows = (f"{i:06d} {'nan' if t is None else repr(t)}" for i, t in enumerate(self._times))
+        apart = self._depth_times != self._times
+        times = {"time_s": self._times} | ({"depth_time_s": self._depth_times} if apart else {})
+        table = zip(*times.values(), strict=True)
+        rows = (" ".join([f"{i:06d}", *("nan" if t is None else repr(t) for t in row)]) for i, row in enumerate(table))
         if self._lines:
             (self._folder / "poses.txt").write_text("\n".join([*self._lines, ""]))
-        (self._folder / "times.txt").write_text("\n".join(["frame time_s", *rows, ""]))
+        (self._folder / "times.txt").write_text("\n".join([" ".join(["frame", *times]), *rows, ""]))
         (self._folder / "intrinsics.json").write_text(json.dumps(intrinsics, indent=1))
         document = {**dataclasses.asdict(report), "out": str(out), "source": self._recording.name}
         (self._folder / "conversion.json").write_text(json.dumps(document, indent=1))

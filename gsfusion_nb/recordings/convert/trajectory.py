@@ -54,6 +54,11 @@ class FramePoses:
             )
         self._scale = 1.0 if self.none else self._metres_per_unit(options)
 
+    @property
+    def by_place(self) -> bool:
+        """Whether a pose is that of a colour image and of its depth, whenever they were taken."""
+        return self._per_frame is not None
+
     def of(self, place: int, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
         """Pose of the frame at a place of the recording, or None and why there is none; float64, metres."""
         if self._per_frame is not None:

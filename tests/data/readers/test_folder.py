@@ -64,6 +64,11 @@ def test_own_times_are_kept(tmp_path, box):
     root = box.folder(tmp_path / "scan", n=3)
     (root / "times.txt").write_text("frame time_s\n000002 107.5\n000000 100.25\n000001 103.0\n")
     assert folder(root).timestamps_s == [100.25, 103.0, 107.5]
+    assert folder(root).depth_times_s is None
+    (root / "times.txt").write_text("frame time_s depth_time_s\n0 1 1.02\n1 2 2.01\n2 3 3\n")
+    assert (folder(root).timestamps_s, folder(root).depth_times_s) == ([1, 2, 3], [1.02, 2.01, 3])
+    (root / "times.txt").write_text("0 1 1.02 4\n1 2 2.01\n2 3 3\n")
+    expect(SequenceError, r"times.txt line 1 must be 'name seconds'", lambda: folder(root))
     (root / "times.txt").write_text("frame time_s\n" + "".join(f"{i:06d} nan\n" for i in range(3)))
     assert folder(root).timestamps_s == [0, 1 / 30, 2 / 30]
     (root / "times.txt").write_text("0 1.0\n")

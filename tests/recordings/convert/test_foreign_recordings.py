@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 
+from gsfusion_nb.data.readers.folder import folder
+from gsfusion_nb.data.readers.tum import tum
 from gsfusion_nb.data.recorded.images import read_depth
 from gsfusion_nb.recordings.convert import ConvertOptions, convert
 
@@ -23,10 +25,14 @@ def test_a_realsense_in_millimetres_with_durations_for_times(shared_sequence, tm
 
 
 def test_a_published_sequence_keeps_its_times_and_unit(shared_sequence, tmp_path):
-    report = convert(
-        shared_sequence("rgbd_dataset_freiburg1_rpy_excerpt"), tmp_path / "rpy", options=ConvertOptions(every=6)
-    )
+    """Those of colour and of depth, and the poses when colour was taken, as the sequence's own reader has them."""
+    source = shared_sequence("rgbd_dataset_freiburg1_rpy_excerpt")
+    report = convert(source, tmp_path / "rpy", options=ConvertOptions(every=6))
     assert (report.depth_scale, report.has_poses, report.dropped) == (5000, True, {})
-    times = [float(line.split()[1]) for line in (tmp_path / "rpy/times.txt").read_text().splitlines()[1:]]
-    assert np.all(np.abs(np.diff(times) - 0.2) < 0.02)
+    ours, theirs = folder(tmp_path / "rpy"), tum(source)
+    assert ours.timestamps_s == theirs.timestamps_s[::6]
+    assert ours.depth_times_s == theirs.depth_times_s[::6]
+    assert len({round(a - b, 4) for a, b in zip(ours.timestamps_s, ours.depth_times_s, strict=True)}) > 5
+    for i in range(len(ours)):
+        np.testing.assert_allclose(ours.pose(i), theirs.pose(6 * i), atol=1e-5)
     assert not any("are not times" in note for note in report.notes)

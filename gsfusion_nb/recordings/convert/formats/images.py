@@ -123,7 +123,9 @@ class FrameFiles:
     pairs: list[tuple[Path, Path]]
     """Colour and depth file of each frame."""
     times_s: list[float] | None
-    """When the depth images were taken, seconds; None: the recording has no times."""
+    """When the colour images were taken, seconds; None: the recording has no times."""
+    depth_times_s: list[float] | None = None
+    """When the depth images were taken, seconds; None: with the colour images."""
     dropped: dict[str, int] = field(default_factory=dict)
     """Depth images left out, by reason."""
     notes: tuple[str, ...] = ()
@@ -183,6 +185,7 @@ def _paired_by_time(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
     alone = len(depth_s) - len(found)
     return FrameFiles(
         [(rgb.files[c], depth.files[d]) for d, c in found],
+        [rgb_s[c] for _, c in found],
         [depth_s[d] for d, _ in found],
         dropped={"no colour image near in time": alone} if alone else {},
         notes=(*notes_on_times(rgb), *notes_on_times(depth)),
@@ -246,13 +249,19 @@ def recording_of(
         about.append(f"intrinsics of depth from {of_depth}")
     images = found.pairs[0][0].parent
     poses = _beside(path, _POSES, (".txt", ".csv", ".npy", "")) or str(images) * any(images.glob("*pose.txt"))
-    times: list[float | None] = [*found.times_s] if found.times_s else [None] * len(found.pairs)
+    unknown = [None] * len(found.pairs)
+    frames = [*zip(found.pairs, found.times_s or unknown, found.depth_times_s or unknown, T_WC or unknown, strict=True)]
 
     def recorded_frames() -> Iterator[RecordedFrame]:
-        for time_s, T, (colour, depth) in zip(times, T_WC or [None] * len(times), found.pairs, strict=True):
-            load = partial(load_pair, colour, depth, scale)
+        for (colour, depth), time_s, depth_time_s, T in frames:
             yield RecordedFrame(
-                source=str(colour), time_s=time_s, model=model, depth_model=depth_model, T_WC=T, load=load
+                source=str(colour),
+                time_s=time_s,
+                depth_time_s=depth_time_s,
+                model=model,
+                depth_model=depth_model,
+                T_WC=T,
+                load=partial(load_pair, colour, depth, scale),
             )
 
     return Recording(

@@ -91,11 +91,15 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     pose_at = _pose_lookup(bag, options, notes)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
-        for d, time_s, colour, depth in _second_pass(bag, pairs):
+        for d, colour, depth in _second_pass(bag, pairs):
+            time_s, depth_time_s = seconds(colour.header.stamp), bag.depth_s[d]
+            if pose_at is not None and pose_at(time_s) is None:  # poses may have the stamps of depth
+                time_s = depth_time_s
             source = f"{path}: {bag.depth} image {d}"
             yield RecordedFrame(
                 source=source,
                 time_s=time_s,
+                depth_time_s=depth_time_s,
                 model=model,
                 depth_model=depth_model,
                 T_colour_depth=T_colour_depth,
@@ -204,8 +208,8 @@ def _one(wanted: str, candidates: list[str], known: list[str], what: str, option
     raise SequenceError(f"{path} must have one {what} topic, found: {listed}; name one with {option}")
 
 
-def _second_pass(bag: _Bag, pairs: list[tuple[int, int]]) -> Iterator[tuple[int, float, Any, Any]]:
-    """Depth number, time, and both messages of every pair, in the order in which pairs become complete in the bag.
+def _second_pass(bag: _Bag, pairs: list[tuple[int, int]]) -> Iterator[tuple[int, Any, Any]]:
+    """Depth number and both messages of every pair, in the order in which pairs become complete in the bag.
 
     Only messages whose partner has not been read yet are kept: as many as one stream is behind the other.
     """
@@ -226,7 +230,7 @@ def _second_pass(bag: _Bag, pairs: list[tuple[int, int]]) -> Iterator[tuple[int,
                 waiting[d] = (kind, message)
                 continue
             colour, depth = (message, other[1]) if kind == 0 else (other[1], message)
-            yield d, bag.depth_s[d], colour, depth
+            yield d, colour, depth
 
 
 def _cameras(bag: _Bag) -> tuple[CameraModel | None, CameraModel | None, Float[Tensor, "4 4"] | None, list[str]]:

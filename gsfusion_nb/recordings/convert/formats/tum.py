@@ -7,12 +7,13 @@ benchmark's cameras are known by the folder's name; for other recordings they co
 """
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from ....checks import shown
 from ....data.recorded.files import natural_order
 from ....data.recorded.poses import read_words
-from ....data.recorded.times import judge_stamps, read_image_list
+from ....data.recorded.times import Stamps, judge_stamps, read_image_list
 from ....data.sequence import SequenceError
 from ..recording import ConvertOptions, Recording
 from .images import FrameFiles, Stream, notes_on_times, paired, recording_of, without_times
@@ -61,18 +62,27 @@ def _associated(file: Path) -> FrameFiles:
         if not all(map(math.isfinite, times)):
             raise SequenceError(f"{file} line {number} must be 'time file time file', got {shown(' '.join(words))}")
         depth = 0 if "depth" in words[1].lower() else 1
-        rows.append((times[depth], files[1 - depth], files[depth]))
-    stamps = judge_stamps([t for t, *_ in rows], names=[natural_order(depth) for *_, depth in rows])
-    pairs = [(colour, depth) for _, colour, depth in rows]
-    if stamps.times_s is None:
-        return without_times(pairs, str(file), stamps)
-    order = sorted(range(len(rows)), key=stamps.times_s.__getitem__)
-    notes = notes_on_times(Stream(str(file), [depth for _, depth in pairs], stamps))
-    return FrameFiles([pairs[i] for i in order], [stamps.times_s[i] for i in order], notes=notes)
+        rows.append([(times[i], files[i]) for i in (1 - depth, depth)])
+    streams = [Stream(str(file), [p for _, p in kind], _judged(kind)) for kind in zip(*rows, strict=True)]
+    rgb_s, depth_s = (stream.stamps.times_s for stream in streams)
+    pairs = [(colour, depth) for (_, colour), (_, depth) in rows]
+    if rgb_s is None or depth_s is None:
+        return without_times(pairs, str(file), next(s.stamps for s in streams if s.stamps.times_s is None))
+    order = sorted(range(len(rows)), key=depth_s.__getitem__)
+    return FrameFiles(
+        [pairs[i] for i in order],
+        [rgb_s[i] for i in order],
+        [depth_s[i] for i in order],
+        notes=notes_on_times(streams[1]),
+    )
+
+
+def _judged(lines: Sequence[tuple[float, Path]]) -> Stamps:
+    return judge_stamps([number for number, _ in lines], names=[natural_order(file) for _, file in lines])
 
 
 def _stream(path: Path, name: str) -> Stream:
     """Files and times of a list."""
     file = path / f"{name}.txt"
     numbers, files = read_image_list(file)
-    return Stream(str(file), files, judge_stamps(numbers, names=[natural_order(f) for f in files]))
+    return Stream(str(file), files, _judged([*zip(numbers, files, strict=True)]))

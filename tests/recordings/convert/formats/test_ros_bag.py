@@ -155,18 +155,18 @@ def write_bag(
             if poses == "pose":
                 bag.pose("/slam/pose", t, takes.T_WC[i])
             if colour == "png":
-                bag.compressed("/camera/color/image_raw/compressed", t + 0.004, "camera_optical", "png", takes.png(i))
+                bag.compressed("/camera/color/image_raw/compressed", t, "camera_optical", "png", takes.png(i))
             else:
                 pixels = {"rgb8": rgb, "bgr8": rgb[..., ::-1]}.get(colour)
                 if colour == "bgra8":
                     pixels = np.concatenate([rgb[..., ::-1], np.full_like(rgb[..., :1], 7)], -1)
                 pixels = rgb if pixels is None else pixels
-                bag.image("/camera/color/image_raw", t + 0.004, "camera_optical", colour, pixels, pad=pad)
+                bag.image("/camera/color/image_raw", t, "camera_optical", colour, pixels, pad=pad)
     return path
 
 
 def put_depth(bag, takes, i, depth, pad, big):
-    t, topic, frame = takes.times_s[i], "/camera/depth/image_raw", "camera_optical"
+    t, topic, frame = takes.times_s[i] + 0.004, "/camera/depth/image_raw", "camera_optical"
     if depth == "16UC1":
         bag.image(topic, t, frame, depth, takes.depth_raw(i), pad=pad, big=big)
     elif depth == "32FC1":
@@ -196,8 +196,10 @@ def test_reads_what_was_written(tmp_path, takes, version, colour, depth, poses):
     report = convert(path, tmp_path / "out")
     takes.check(tmp_path / "out", pose=2e-6)
     assert report.dropped == {}
-    times = [line.split()[1] for line in (tmp_path / "out/times.txt").read_text().splitlines()[1:]]
-    assert [float(t) for t in times] == pytest.approx(takes.times_s, abs=1e-6)
+    rows = (tmp_path / "out/times.txt").read_text().splitlines()[1:]
+    colour_s, depth_s = zip(*([float(t) for t in row.split()[1:]] for row in rows), strict=True)
+    assert colour_s == pytest.approx(takes.times_s, abs=1e-6)
+    assert depth_s == pytest.approx([t + 0.004 for t in takes.times_s], abs=1e-6)
 
 
 def test_mcap(tmp_path, takes):

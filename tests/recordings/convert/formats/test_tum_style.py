@@ -11,10 +11,10 @@ from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_forma
 def write_tum(root, takes, *, lists=True, truth=True):
     c = takes.camera
     for i, t in enumerate(takes.times_s):
-        takes.write(root / f"rgb/{t + 0.005:.6f}.png", takes.png(i))
-        takes.write(root / f"depth/{t:.6f}.png", takes.depth_png(i, 5000))
+        takes.write(root / f"rgb/{t:.6f}.png", takes.png(i))
+        takes.write(root / f"depth/{t + 0.005:.6f}.png", takes.depth_png(i, 5000))
     if lists:
-        for name, shift in (("rgb", 0.005), ("depth", 0.0)):
+        for name, shift in (("rgb", 0.0), ("depth", 0.005)):
             lines = [f"{t + shift:.6f} {name}/{t + shift:.6f}.png" for t in takes.times_s]
             (root / f"{name}.txt").write_text("\n".join(["# timestamp filename", *lines, ""]))
     if truth:
@@ -37,7 +37,7 @@ def test_reads_what_was_written(tmp_path, takes, lists):
 
 def test_associations(tmp_path, takes):
     root = write_tum(tmp_path / "scan", takes, lists=False)
-    lines = [f"{t:.6f} depth/{t:.6f}.png {t + 0.005:.6f} rgb/{t + 0.005:.6f}.png" for t in takes.times_s]
+    lines = [f"{t + 0.005:.6f} depth/{t + 0.005:.6f}.png {t:.6f} rgb/{t:.6f}.png" for t in takes.times_s]
     (root / "associations.txt").write_text("\n".join(lines))
     convert(root, tmp_path / "out")
     takes.check(tmp_path / "out", depth_m=1.1e-4)
@@ -106,10 +106,10 @@ def test_the_unit_of_depth_is_inferred_or_asked_for(tmp_path, takes):
     assert any(n.startswith("depth was taken as 5000 units a metre, because") for n in report.notes)
     root = write_tum(tmp_path / "millimetres", takes)
     for i, t in enumerate(takes.times_s):
-        takes.write(root / f"depth/{t:.6f}.png", takes.depth_png(i, 1000))
+        takes.write(root / f"depth/{t + 0.005:.6f}.png", takes.depth_png(i, 1000))
     assert convert(root, tmp_path / "mm").depth_scale == 1000
     takes.check(tmp_path / "mm")
     for i, t in enumerate(takes.times_s):
-        takes.write(root / f"depth/{t:.6f}.png", takes.depth_png(i, 20))
+        takes.write(root / f"depth/{t + 0.005:.6f}.png", takes.depth_png(i, 20))
     with pytest.raises(SequenceError, match=r"unit of depth cannot be known from the files.*give --depth-scale"):
         convert(root, tmp_path / "unknown")
