@@ -8,6 +8,7 @@ LAB ?=
 # Where a learner's notebooks are kept, a folder in this one.
 COURSE ?= course
 BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
 STAMP := $(VENV)/.setup-done
 DEV_STAMP := $(VENV)/.dev-done
 
@@ -18,18 +19,21 @@ unexport PYTHONDONTWRITEBYTECODE
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml
+$(INSTALLED): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"gsfusion_nb needs Python >= 3.11, found {v[0]}.{v[1]}: run  make PYTHON=/path/to/python3.11 ...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "Installing what the demo and the course need into $(VENV) (about 2 minutes, 2.2 GB) ..."
 	@$(BIN)/python -m pip install --quiet --no-compile "torch>=2.6,<2.14" $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 	@$(BIN)/python -m pip install --quiet --no-compile --editable .
+	@touch $(INSTALLED)
+
+$(STAMP): $(INSTALLED)
 	-@$(BIN)/gsfusion-nb doctor --warm
 	@touch $(STAMP)
 
-dev: $(DEV_STAMP)
+dev: $(STAMP) $(DEV_STAMP)
 
-$(DEV_STAMP): $(STAMP) pyproject.toml
+$(DEV_STAMP): $(INSTALLED)
 	@echo "Installing what tests and development need into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --no-compile --editable ".[dev]"
 	@touch $(DEV_STAMP)

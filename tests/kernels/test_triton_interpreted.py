@@ -9,7 +9,7 @@ import pytest
 import torch
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("tests/kernels/triton", "tests/kernels/gpu", "tests/kernels/test_parity.py::test_same_as_the_reference")
+FOLDERS = ("tests/kernels/triton", "tests/kernels/test_parity.py::test_same_as_the_reference")
 
 
 @pytest.mark.ci
