@@ -289,39 +289,36 @@ def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig) -> 
         model: The map, or a part of it, changed in place.
         config: Learning rates and decays.
     """
-    missed = model.step_count - model.last_step
-    rows = missed.nonzero()[:, 0]
-    if not len(rows):
+    last = model.last_step
+    missed = model.step_count - last
+    if not bool(missed.any()):
         return
-    last = model.last_step[rows]
-    start = {"none": None, "shared": last, "per_row": last - model.birth_step[rows]}[config.adam_steps]
-    steps = MissedSteps(rows, missed[rows], start, config.beta1, config.beta2, config.eps)
+    start = {"none": None, "shared": last, "per_row": last - model.birth_step}[config.adam_steps]
+    steps = MissedSteps(missed, start, config.beta1, config.beta2, config.eps)
     for name, lr in _rates_of(config).by_column(model.params.sh).items():
         column, m, v = (getattr(values, name) for values in (model.params, model.exp_avg, model.exp_avg_sq))
         steps.take(column, m, v, lr, model.rates.get(name))
-    model.last_step[rows] = model.step_count
+    last.fill_(model.step_count)
 
 
 class MissedSteps:
-    """The steps of ``take_missed_steps``, for one column of the map after another.
+    """The steps of ``take_missed_steps``, for one column of the map after another; a row with k = 0 stays as it is.
 
     Args:
-        rows: Those that missed any. [R]
-        missed: k of each of them. [R]
+        missed: k of each row. [R]
         start: t of the step before the first missed one; None: without bias correction. [R]
         beta1, beta2, eps: As for ``adam_update``.
     """
 
     def __init__(
         self,
-        rows: Int[Tensor, " R"],
         missed: Int[Tensor, " R"],
         start: Int[Tensor, " R"] | None,
         beta1: float,
         beta2: float,
         eps: float,
     ):
-        self.rows, self.eps, ratio = rows, eps, beta1 / math.sqrt(beta2)
+        self.eps, ratio = eps, beta1 / math.sqrt(beta2)
         self.decay1, self.decay2 = (beta ** missed.double() for beta in (beta1, beta2))
         if start is None:
             self.distance = ratio * (1 - ratio ** missed.double()) / (1 - ratio)
@@ -329,18 +326,18 @@ class MissedSteps:
             k = missed.clamp_max(_NOTHING_LEFT_AFTER)
             pairs, which = torch.unique(start.long() * (_NOTHING_LEFT_AFTER + 1) + k, return_inverse=True)
             first, last = pairs[:, None] // (_NOTHING_LEFT_AFTER + 1), pairs[:, None] % (_NOTHING_LEFT_AFTER + 1)
-            j = torch.arange(1, int(k.max()) + 1, device=rows.device)
+            j = torch.arange(1, int(k.max()) + 1, device=k.device)
             t = (first + j).double()
             terms = (1 - beta2**t).sqrt() / (1 - beta1**t) * ratio**j
             self.distance = (terms * (j <= last)).sum(1)[which]
 
     def take(self, column: Tensor, m: Tensor, v: Tensor, lr: float | Tensor, factor: Tensor | None) -> None:
-        """Change the rows of a column and of its moments; ``factor`` of the learning rate is one for each row."""
-        old_m, old_v = m[self.rows], v[self.rows]
-        distance = self.distance if factor is None else self.distance * factor[self.rows]
+        """Change a column and its moments in place; ``factor`` of the learning rate is one for each row."""
+        distance = self.distance if factor is None else self.distance * factor
         far, decay1, decay2 = (x.to(m).view(-1, *[1] * (m.ndim - 1)) for x in (distance, self.decay1, self.decay2))
-        column[self.rows] -= lr * far * old_m / (old_v.sqrt() + self.eps)
-        m[self.rows], v[self.rows] = decay1 * old_m, decay2 * old_v
+        column -= lr * far * m / (v.sqrt() + self.eps)
+        m *= decay1
+        v *= decay2
 
 
 def take_step(
@@ -412,10 +409,13 @@ class RowAdam:
         if self._update is not None or not len(rows):
             return
         last = self._last[rows]
-        steps = MissedSteps(rows, self.steps - last, last, BETA1, BETA2, EPS)
+        steps = MissedSteps(self.steps - last, last, BETA1, BETA2, EPS)
         for name, lr in self._rates.items():
-            m, v = self._moments[name]
-            steps.take(getattr(self.params, name), m, v, lr, self._factors.get(name))
+            columns, factor = (getattr(self.params, name), *self._moments[name]), self._factors.get(name)
+            param, m, v = (column[rows] for column in columns)
+            steps.take(param, m, v, lr, None if factor is None else factor[rows])
+            for column, values in zip(columns, (param, m, v), strict=True):
+                column[rows] = values
         self._last[rows] = self.steps
 
     def step(self, gradients: GaussianParams, rows: Int[Tensor, " R"] | None = None) -> None:

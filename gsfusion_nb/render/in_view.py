@@ -193,6 +193,8 @@ def farthest_depth(depth_m: Float[Tensor, "h w"]) -> Float[Tensor, "12 16"]:
     Args:
         depth_m: z-depth, metres, 0 where missing.
     """
+    if depth_m.shape == GRID:
+        return torch.where(depth_m > 0, depth_m, torch.inf)
     known = adaptive_avg_pool2d((depth_m > 0).to(depth_m.dtype)[None], GRID)[0]
     return torch.where(known > 0.5, adaptive_max_pool2d(depth_m[None], GRID)[0], torch.inf)
 
