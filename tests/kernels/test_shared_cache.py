@@ -95,6 +95,7 @@ def test_a_number_that_changes_in_another_file_is_compiled_in(tmp_path):
     numbers, before = tmp_path / "trial_numbers.py", (tmp_path / "trial_numbers.py").stat().st_mtime
     os.utime(numbers, (before, before + 10))
     assert sorted(run(tmp_path, ["int64"])[0]) == ["part", "whole"]
+    assert run(tmp_path, ["int64"]) == [[]]
 
 
 def test_an_index_that_names_a_module_that_is_gone_is_made_again(tmp_path):
