@@ -14,6 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import cv2
+import jaxtyping_sampled
 import numpy as np
 import pytest
 import torch
@@ -132,6 +133,10 @@ def _scratch_cache(tmp_path_factory, pytestconfig):
 def _one_thread():
     """Small tensors gain nothing from threads, and waiting threads slow each other down on a busy machine."""
     torch.set_num_threads(1)
+
+
+def pytest_runtest_setup():
+    jaxtyping_sampled.next_test()
 
 
 @pytest.fixture(autouse=True)

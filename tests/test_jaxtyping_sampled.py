@@ -1,9 +1,12 @@
-"""The tests' type checker finds a wrong argument, a wrong result, and a result that does not fit the arguments."""
+"""The tests' type checker finds what is wrong in the first calls of each test: an argument, a result, one for another."""
+
+from dataclasses import dataclass
 
 import pytest
 import torch
+from beartype import beartype
 from jaxtyping import Float, TypeCheckError, jaxtyped
-from late_beartype import beartype
+from jaxtyping_sampled import CALLS
 from torch import Tensor
 
 
@@ -29,3 +32,24 @@ def test_a_wrong_argument(x):
 def test_a_wrong_result(result):
     with pytest.raises(TypeCheckError, match="checking the return value"):
         doubled(torch.ones(4, 3), wrong=result)
+
+
+@jaxtyped(typechecker=beartype)
+@dataclass
+class Pair:
+    first: Float[Tensor, "N 3"]
+    second: Float[Tensor, " N"]
+
+
+def test_a_wrong_field():
+    Pair(torch.ones(4, 3), torch.ones(4))
+    with pytest.raises(TypeCheckError, match="parameter 'second'"):
+        Pair(torch.ones(4, 3), torch.ones(5))
+
+
+@pytest.mark.parametrize("_", range(2))
+def test_the_first_calls_of_each_test_are_checked(_):
+    for _ in range(CALLS):
+        with pytest.raises(TypeCheckError):
+            doubled(torch.ones(4, 2))
+    assert doubled(torch.ones(4, 2)).shape == (4, 2)
