@@ -52,7 +52,7 @@ campaign: dev
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow tests/course tests/test_notebooks.py
 	$(BIN)/python -m pip install --quiet "nbgrader>=0.9.5"
 	$(BIN)/python -m pytest -m ci tests/course/test_nbgrader.py
-	GSNB_CAMPAIGN=1 $(BIN)/python -m pytest -m slow tests/browser/test_learners_path.py
+	GSNB_CAMPAIGN=1 $(BIN)/python -m pytest -m ci tests/browser/test_learners_path.py
 
 # The tables in docs/ whose numbers are older than the code that they depend on, and the commands that measure them again.
 # make measured RENEW="tracking-accuracy ..." RECORDINGS=PATH/TO runs these commands in the folder of the recordings and

@@ -1,4 +1,4 @@
-"""The tests' type checker finds what is wrong in the first calls of each test: an argument, a result, one for another."""
+"""The tests' type checker finds a wrong argument, result or field in the first calls of each test."""
 
 from dataclasses import dataclass
 

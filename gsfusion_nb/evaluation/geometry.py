@@ -248,13 +248,25 @@ def cull_unseen(mesh: Mesh, frames: Iterable[Frame]) -> Mesh:
 
     For meshes of small triangles; a wall of two triangles is kept completely if one of its corners is seen.
     """
-    n, centroids = len(mesh.vertices_W), _of_faces(mesh, lambda corners: corners.mean(1).to(mesh.vertices_W))
-    seen = seen_by(torch.cat([mesh.vertices_W, centroids]), frames)
-    faces = mesh.faces[seen[:n][mesh.faces.long()].any(1) | seen[n:]]
+    n = len(mesh.vertices_W)
+    points = MAP_MEMORY.rows(n + len(mesh.faces), 3, device=mesh.vertices_W.device)
+    points[:n], points[n:] = mesh.vertices_W, _of_faces(mesh, lambda corners: corners.mean(1), 3)
+    seen = seen_by(points, frames)
+    faces = _picked(mesh.faces, seen[:n][mesh.faces.long()].any(1) | seen[n:])
     used = torch.zeros(n, dtype=torch.bool, device=faces.device)
     used[faces.view(-1).long()] = True
-    number = used.cumsum(0).to(faces) - 1
-    return Mesh(vertices_W=mesh.vertices_W[used], faces=number[faces.long()], rgb=mesh.rgb[used])
+    number = used.cumsum(0) - 1
+    for part in faces.split(FACES_AT_A_TIME):
+        part.copy_(number[part.long()])
+    return Mesh(vertices_W=_picked(mesh.vertices_W, used), faces=faces, rgb=_picked(mesh.rgb, used))
+
+
+def _picked(rows: Tensor, which: Bool[Tensor, " N"]) -> Tensor:
+    """A copy of the rows where ``which`` is true, in a file if the map is in files."""
+    places = which.nonzero()[:, 0]
+    copy = MAP_MEMORY.rows(len(places), *rows.shape[1:], dtype=rows.dtype, device=rows.device)
+    MAP_MEMORY.give_back()
+    return torch.index_select(rows, 0, places, out=copy)
 
 
 def point_triangle_distance(xyz: Float[Tensor, "*N 3"], triangle: Float[Tensor, "*N 3 3"]) -> Float[Tensor, "*N"]:
@@ -283,12 +295,16 @@ def _corners(mesh: Mesh, faces: Int[Tensor, " M"] | slice = slice(None)) -> Floa
     return mesh.vertices_W[mesh.faces[faces].long()].double()
 
 
-def _of_faces(mesh: Mesh, measure: Callable[[Float[Tensor, "M 3 3"]], Tensor]) -> Tensor:
+def _of_faces(mesh: Mesh, measure: Callable[[Float[Tensor, "M 3 3"]], Tensor], *width: int) -> Tensor:
     """What ``measure`` gives for the corners of the faces, taken part by part to save memory."""
     check_shape("faces", mesh.faces, ("F", 3))
     check_finite("vertices_W", mesh.vertices_W)
-    parts = range(0, max(1, len(mesh.faces)), FACES_AT_A_TIME)
-    return torch.cat([measure(_corners(mesh, slice(start, start + FACES_AT_A_TIME))) for start in parts])
+    results = MAP_MEMORY.rows(len(mesh.faces), *width, dtype=torch.float64, device=mesh.faces.device)
+    for start in range(0, len(mesh.faces), FACES_AT_A_TIME):
+        part = slice(start, start + FACES_AT_A_TIME)
+        results[part] = measure(_corners(mesh, part))
+        MAP_MEMORY.give_back()
+    return results
 
 
 def _areas(mesh: Mesh) -> Float[Tensor, " F"]:

@@ -11,7 +11,7 @@ import pytest
 from book.__main__ import missing
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.ci,
     pytest.mark.skipif(bool(missing()), reason=f"the extra 'book' is not installed: no {', '.join(missing())}"),
 ]
 

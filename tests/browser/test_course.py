@@ -9,7 +9,7 @@ from quick_run import on_one_thread, quick
 
 from gsfusion_nb.course.copies import without_solutions
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+pytestmark = [pytest.mark.ci, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
 NOTEBOOK = Path(__file__).resolve().parents[2] / "notebooks" / "03_quadtree_decomposition.ipynb"
 

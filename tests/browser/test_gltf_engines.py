@@ -1,6 +1,6 @@
 """A ``.glb`` with Gaussians and mesh in the Khronos validator, and drawn by PlayCanvas and Babylon as we draw it.
 
-``GSNB_RUN=runs/room-... pytest -m slow -s tests/browser/test_gltf_engines.py`` does the same with the maps of a run and
+``GSNB_RUN=runs/room-... pytest -m ci -s tests/browser/test_gltf_engines.py`` does the same with the maps of a run and
 prints the PSNR; pictures go to $GSNB_SCREENSHOTS.
 """
 
@@ -23,7 +23,7 @@ from gsfusion_nb.geometry.upright import turn_to_y_up, world_up
 from gsfusion_nb.render import render
 from gsfusion_nb.types import Camera, GaussianParams, Mesh
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.ci
 _GL = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 CAMERA = Camera(width=320, height=240, fx=230.0, fy=230.0, cx=160.0, cy=120.0)
 

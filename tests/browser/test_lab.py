@@ -10,7 +10,7 @@ from gsfusion_nb.compare import Budget, RunResult, RunSpec
 from gsfusion_nb.compare.outputs import Results
 from gsfusion_nb.compare.run_all import ResultStore
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+pytestmark = [pytest.mark.ci, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
 BUDGETS = (Budget(gaussians=4000), Budget(steps="own"))
 PSNR = {"quadtree": 24.8, "uniform": 24.4, "with a <long> name & more": 22.0}

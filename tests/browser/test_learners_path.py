@@ -17,7 +17,7 @@ from gsfusion_nb.course import exercises
 from gsfusion_nb.course.copies import learner_copy
 from gsfusion_nb.course.short_path import short_path
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+pytestmark = [pytest.mark.ci, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 CHAPTERS = (2, 3, 4, 5, 6)

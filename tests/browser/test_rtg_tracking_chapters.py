@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+pytestmark = [pytest.mark.ci, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
 LONG_RUN = {"live.run_sync(24)": "live.run_sync(2)", "LIVE_FRAMES = 7 ": "LIVE_FRAMES = 400 "}
 """It shall not finish under our hands."""

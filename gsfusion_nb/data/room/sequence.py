@@ -19,6 +19,7 @@ from ...checks import check_number, check_pose, check_positive
 from ...files import cache_folder
 from ...geometry import backproject, pixel_grid, se3
 from ...types import Camera, Frame, Mesh
+from ...work import MAP_MEMORY
 from . import raycast, shade
 from .camera import TRAJECTORIES, disturbed_poses, exposed, exposure_gains, kinect_depth, walk, without_depth
 from .interior import SHELL_SOLIDS, furnishing
@@ -271,11 +272,15 @@ class RoomSequence:
 
     def mesh(self) -> Mesh:
         """Ground truth of the surface, 3 cm triangles."""
-        room, away_m = room_mesh(0.03, seed=self.seed, cache=self.cache), torch.from_numpy(self._rooms_W).float()
-        n, vertices_W = len(room.vertices_W), room.vertices_W + away_m[:, None]
-        faces = room.faces + n * torch.arange(self.rooms)[:, None, None]
-        rgb = room.rgb.repeat(self.rooms, 1)
-        return Mesh(vertices_W=vertices_W.reshape(-1, 3), faces=faces.reshape(-1, 3), rgb=rgb)
+        room, device = room_mesh(0.03, seed=self.seed, cache=self.cache), torch.device("cpu")
+        n, m = len(room.vertices_W), len(room.faces)
+        vertices_W, rgb = (MAP_MEMORY.rows(self.rooms * n, 3, device=device) for _ in range(2))
+        faces = MAP_MEMORY.rows(self.rooms * m, 3, dtype=room.faces.dtype, device=device)
+        for k, away_m in enumerate(torch.from_numpy(self._rooms_W).float()):
+            vertices_W[k * n : (k + 1) * n], rgb[k * n : (k + 1) * n] = room.vertices_W + away_m, room.rgb
+            faces[k * m : (k + 1) * m] = room.faces + k * n
+            MAP_MEMORY.give_back()
+        return Mesh(vertices_W=vertices_W, faces=faces, rgb=rgb)
 
     @property
     def times_s(self) -> np.ndarray:
