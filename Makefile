@@ -49,7 +49,7 @@ test: dev
 campaign: dev
 	$(BIN)/python tests/campaign/kills.py --kills 300
 	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
-	$(BIN)/python -m pytest -n auto --dist worksteal -m slow tests/course tests/test_notebooks.py
+	$(BIN)/python -m pytest -n auto --dist worksteal -m slow tests/course tests/kernels tests/test_notebooks.py
 	$(BIN)/python -m pip install --quiet "nbgrader>=0.9.5"
 	$(BIN)/python -m pytest -m ci tests/course/test_nbgrader.py
 	GSNB_CAMPAIGN=1 $(BIN)/python -m pytest -m ci tests/browser/test_learners_path.py

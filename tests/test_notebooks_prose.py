@@ -13,25 +13,6 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 EACH = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 
 
-SPELLED = {
-    "RGB-D": "colour and depth",
-    "TSDF": "truncated signed distance",
-    "PSNR": "peak signal.to.noise",
-    "dB": "decibel",
-    "SSIM": "structural similarity",
-    "D-SSIM": "structural similarity",
-    "L1": "mean absolute",
-    "MSE": "mean squared error",
-    "EWA": "elliptical weighted average",
-    "ICP": "iterative closest point",
-    "ORB": "oriented FAST",
-    "ATE": "absolute trajectory error",
-    "FPS": "frames per second",
-    "GPU": "graphics processor",
-}
-"""What an abbreviation is short for, as a regular expression."""
-
-
 def notebook(path: Path) -> dict:
     return json.loads(path.read_text(encoding="utf-8"))
 
@@ -107,26 +88,6 @@ def test_the_time_of_a_chapter_covers_its_exercises(path):
     assert told, f"{path.name} does not tell its time in minutes"
     exercises = [int(minutes) for minutes in re.findall(r"★[★☆]* \((\d+) minutes\)", text)]
     assert int(told[1]) >= 1.2 * sum(exercises), f"{sum(exercises)} minutes of exercises, and the text to read"
-
-
-@EACH
-def test_the_readme_tells_the_same_time(path):
-    told = re.search(r"\*\*Time\*\* \|.*?(\d+) minutes", prose(path))
-    row = re.search(rf"\| `{path.stem}` \|.*\| (\d+) min \|", (FOLDER.parent / "README.md").read_text(encoding="utf-8"))
-    assert told
-    assert row
-    assert told[1] == row[1]
-
-
-@EACH
-def test_abbreviations_are_spelled_where_they_are_first_used(path):
-    text = re.sub(r"<!--.*?-->|```.*?```|`[^`]*`|\$\$.*?\$\$|\$[^$]*\$|\]\([^)]*\)", "", prose(path), flags=re.DOTALL)
-    text = text.split("Further reading")[0]
-    for short, long in SPELLED.items():
-        first = re.search(rf"(?<![\w-]){short}(?![\w-])", text)
-        if first:
-            until_there = text[: first.end() + 160]
-            assert re.search(long, until_there, re.IGNORECASE), f"{path.name} does not say what {short} is: {first}"
 
 
 @EACH

@@ -50,10 +50,10 @@ def run_key(**parts: Any) -> str:
 
 @functools.cache
 def package_fingerprint() -> str:
-    """A hash of the source of this package and its kernels."""
+    """A hash of the source of this package and its kernels, but not of JupyterLab's copies of opened files."""
     digest = hashlib.blake2b(digest_size=16)
     for root in _source_folders():
-        for file in sorted(p for p in root.rglob("*") if p.suffix in _CODE):
+        for file in sorted(p for p in root.rglob("*") if p.suffix in _CODE and p.parent.name != ".ipynb_checkpoints"):
             digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()
 

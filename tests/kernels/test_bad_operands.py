@@ -77,7 +77,7 @@ def test_same_on_numba(expected, on_the_processor):
     assert not differences(found, expected)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_same_from_the_cuda_kernels_on_the_processor(emulator_library, expected):
     found = outcomes("cuda", GSFUSION_CUDA_EMULATOR=str(emulator_library))["cuda"]
     assert len(found) > 200

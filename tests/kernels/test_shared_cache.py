@@ -9,7 +9,7 @@ import sys
 import pytest
 
 pytest.importorskip("numba")
-pytestmark = pytest.mark.ci
+pytestmark = pytest.mark.slow
 
 _KERNELS = """
 from numba import njit
