@@ -50,6 +50,7 @@ campaign: dev
 	$(BIN)/python tests/campaign/kills.py --kills 300
 	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow tests/course tests/kernels tests/test_notebooks.py
+	$(BIN)/python -m pytest -m slow tests/browser
 	$(BIN)/python -m pip install --quiet "nbgrader>=0.9.5"
 	$(BIN)/python -m pytest -m ci tests/course/test_nbgrader.py
 	GSNB_CAMPAIGN=1 $(BIN)/python -m pytest -m ci tests/browser/test_learners_path.py

@@ -55,6 +55,7 @@ compositing_stepper(scene.params, scene.camera, scene.T_WC, (32, 24))
 ]
 
 
+@pytest.mark.slow
 def test_what_was_stored_is_shown_when_a_notebook_is_opened_again(lab):
     page = lab.open(REOPENED)
     page.locator(".gsnb-one-gaussian-image img").wait_for(timeout=60_000)

@@ -102,6 +102,7 @@ def test_next_back_restart_keys_and_slider(lab):
     assert lab.errors == []
 
 
+@pytest.mark.slow
 def test_every_other_stepper_goes_to_its_end_in_a_page(lab):
     page = lab.open([SETTING, *(f"{name} = {call}\n{name}" for name, call in OTHERS.items())], timeout_s=300)
     page.set_viewport_size({"width": 1000, "height": 900})

@@ -93,7 +93,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [pytest.param("fill", marks=pytest.mark.slow), "one-gaussian", "points"])
 def test_the_picture_follows_the_drag_without_a_queue(lab, page, name):
     what, start, control = CASES[name]
     image, handle = page.locator(f".gsnb-{name}-image img").first, page.locator(f".gsnb-{name}-{control} .noUi-handle")
