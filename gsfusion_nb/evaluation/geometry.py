@@ -249,7 +249,7 @@ def cull_unseen(mesh: Mesh, frames: Iterable[Frame]) -> Mesh:
     For meshes of small triangles; a wall of two triangles is kept completely if one of its corners is seen.
     """
     n = len(mesh.vertices_W)
-    points = MAP_MEMORY.rows(n + len(mesh.faces), 3, device=mesh.vertices_W.device)
+    points = MAP_MEMORY.rows(n + len(mesh.faces), 3, dtype=mesh.vertices_W.dtype, device=mesh.vertices_W.device)
     points[:n], points[n:] = mesh.vertices_W, _of_faces(mesh, lambda corners: corners.mean(1), 3)
     seen = seen_by(points, frames)
     faces = _picked(mesh.faces, seen[:n][mesh.faces.long()].any(1) | seen[n:])
