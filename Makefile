@@ -77,7 +77,7 @@ chapters: dev
 	done
 	$(BIN)/python tools/claims.py notebooks/*.ipynb
 
-lint: dev
+lint: $(DEV_STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright
