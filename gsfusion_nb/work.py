@@ -97,22 +97,19 @@ class ProgressDisplay:
 
 def _in_notebook() -> bool:
     """Whether a Jupyter kernel shows what is printed."""
-    if "IPython" not in sys.modules:
-        return False
-    from IPython import get_ipython
-
-    shell = get_ipython()
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     return shell is not None and "IPKernelApp" in shell.config
 
 
 def usable_cores() -> int:
     """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 _IMAGES_BYTES, _ALIGNED_BYTES = 1 << 26, 64
+_PRIVATE: Any = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if os.name == "posix" else {}
+"""Memory in small pages, of which those that are not used take none. numpy asks for huge ones, and a map that grows
+waits for each of them: in a building of 64 rooms GPS-SLAM's frames took a quarter longer."""
 
 
 class _File:
@@ -172,17 +169,21 @@ class MapMemory:
         """A tensor of zeros, for rows of which on a processor those that are not used need no memory.
 
         Raises:
-            MemoryError: the disk has no space for its file.
+            MemoryError: the system does not grant it, or the disk has no space for its file.
         """
-        import numpy as np
         import torch
 
-        if device.type != "cpu":
-            return torch.zeros(*shape, dtype=dtype, device=device)
-        like = torch.empty(0, dtype=dtype)
-        if not self.is_in_files(device) or 0 in shape:  # torch.zeros would write all pages
-            return torch.from_numpy(np.zeros(shape, like.numpy().dtype))
-        return self._mapped(_File(), math.prod(shape), like.dtype).view(shape)
+        like = torch.zeros(0, dtype=dtype, device=device)
+        if device.type != "cpu" or 0 in shape:
+            return like.new_zeros(shape)
+        if self.is_in_files(device):
+            return self._mapped(_File(), math.prod(shape), like.dtype).view(shape)
+        n_bytes = math.prod(shape) * like.itemsize
+        try:
+            pages = mmap.mmap(-1, n_bytes, **_PRIVATE)
+        except OSError as e:
+            raise MemoryError(f"no {n_bytes / 1e6:.0f} MB for a part of the map: {e}") from e
+        return torch.frombuffer(pages, dtype=like.dtype).view(shape)
 
     def grown(self, old: "torch.Tensor", n: int) -> "torch.Tensor":
         """The rows of a tensor made by ``rows``, and more up to ``n``, which are zero; in a file nothing is copied.
