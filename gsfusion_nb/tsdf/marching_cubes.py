@@ -145,10 +145,9 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
 
     Differentiable: no.
     """
-    rows = torch.arange(volume.n_blocks, device=volume.device)
-    parts = []
-    for n, part in enumerate(rows.split(BLOCKS_AT_A_TIME), start=1):
-        parts.append(_numbered(_triangles(volume, part, min_weight)))
+    parts, keep = [], MAP_MEMORY.in_file if MAP_MEMORY.is_in_files(volume.device) else Tensor.detach
+    for n, part in enumerate(torch.arange(volume.n_blocks, device=volume.device).split(BLOCKS_AT_A_TIME), start=1):
+        parts.append(tuple(map(keep, _numbered(_triangles(volume, part, min_weight)))))
         MAP_MEMORY.give_back()
         if n % 64 == 0:
             return_free_memory()  # the small results lie between large intermediate ones
@@ -156,6 +155,7 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     faces = MAP_MEMORY.rows(sum(sizes), 3, dtype=torch.int64, device=volume.device)
     for place, (cut, triangles) in zip(faces.split(sizes), parts, strict=True):
         place.copy_(torch.searchsorted(edges, cut)[triangles])
+        MAP_MEMORY.give_back()
     vertices_W, rgb = (MAP_MEMORY.rows(len(edges), 3, device=volume.device) for _ in range(2))
     for places, part in zip(torch.arange(len(edges)).split(EDGES_AT_A_TIME), edges.split(EDGES_AT_A_TIME), strict=True):
         vertices_W[places], rgb[places] = _vertices(volume, part)
