@@ -106,7 +106,7 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-_IMAGES_BYTES, _ALIGNED_BYTES = 1 << 26, 64
+_SHARED_BYTES, _ALIGNED_BYTES = 1 << 26, 64
 _PRIVATE: Any = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if os.name == "posix" else {}
 """Memory in small pages, of which those that are not used take none. numpy asks for huge ones, and a map that grows
 waits for each of them: in a building of 64 rooms GPS-SLAM's frames took a quarter longer."""
@@ -146,8 +146,8 @@ class MapMemory:
         """Memory of this process above which pages are given back; None: no files are used."""
         self._files: dict[int, tuple[weakref.ref[mmap.mmap], _File]] = {}
         """Place in memory -> the file that is mapped there."""
-        self._images: torch.Tensor | None = None
-        """The last file of images, and how many bytes of it are used."""
+        self._shared: torch.Tensor | None = None
+        """The last file that tensors share, and how many bytes of it are used."""
         self._used = 0
         self._next_bytes = 0
 
@@ -198,15 +198,15 @@ class MapMemory:
         _, file = self._files[old.data_ptr()]
         return self._mapped(file, n * math.prod(old.shape[1:]), old.dtype).view(n, *old.shape[1:])
 
-    def in_file(self, image: "torch.Tensor") -> "torch.Tensor":
-        """The same values in a file that many images share, whether there is a limit or not."""
+    def in_file(self, values: "torch.Tensor") -> "torch.Tensor":
+        """The same values in a file that many tensors share, whether there is a limit or not."""
         import torch
 
-        if self._images is None or self._used + image.nbytes > len(self._images):
-            self._images, self._used = self._mapped(_File(), max(image.nbytes, _IMAGES_BYTES), torch.uint8), 0
-        place = self._images[self._used : self._used + image.nbytes]
-        self._used += -(-image.nbytes // _ALIGNED_BYTES) * _ALIGNED_BYTES
-        return place.view(image.dtype).view(image.shape).copy_(image)
+        if self._shared is None or self._used + values.nbytes > len(self._shared):
+            self._shared, self._used = self._mapped(_File(), max(values.nbytes, _SHARED_BYTES), torch.uint8), 0
+        place = self._shared[self._used : self._used + values.nbytes]
+        self._used += -(-values.nbytes // _ALIGNED_BYTES) * _ALIGNED_BYTES
+        return place.view(values.dtype).view(values.shape).copy_(values)
 
     def _mapped(self, file: _File, n: int, dtype: "torch.dtype") -> "torch.Tensor":
         import torch

@@ -24,7 +24,7 @@ def in_files(monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(MAP_MEMORY, "limit_bytes", None)
     monkeypatch.setattr(tempfile, "tempdir", None)
-    monkeypatch.setattr(MAP_MEMORY, "_images", None)
+    monkeypatch.setattr(MAP_MEMORY, "_shared", None)
     monkeypatch.setattr(MAP_MEMORY, "_files", {})  # tests before may have left some
     MAP_MEMORY.limit(1e-9)
     monkeypatch.setattr(work, "_resident_bytes", lambda field: 1 << 60)
