@@ -200,7 +200,7 @@ class GrowingRows:
         rows = rows[~log.is_kept[rows]]
         log.is_kept[rows] = True
         if len(rows):
-            log.kept.append((rows, {name: column[rows] for name, column in self._columns.items()}))
+            log.kept.append((rows, {name: c.index_select(0, rows) for name, c in self._columns.items()}))
 
     def snapshot(self) -> dict[str, Tensor]:
         """A copy of the rows, for ``restore``."""

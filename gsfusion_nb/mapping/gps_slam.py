@@ -244,7 +244,8 @@ class GPSSLAM(TsdfMapping):
         """The steps of this frame, each on one of the views. Returns loss and mean squared error before each."""
         n = self.views.steps_in(self.n_frames) if len(self.views) and len(self.gaussians) else 0
         self.after_steps.frame_begins(context, n)
-        return as_floats([self._optimise_view(self.views.next_view(self.random.keyframes)) for _ in range(n)])
+        views = [self.views.next_view(self.random.keyframes) for _ in range(n)]
+        return as_floats([self._optimise_view(view, views[i + 1 :]) for i, view in enumerate(views)])
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan; each pass ends as a burst does, with the removal of rows."""
@@ -259,12 +260,15 @@ class GPSSLAM(TsdfMapping):
             self._prune()
         return loss
 
-    def _optimise_view(self, view: BasedView) -> ViewStep:
-        """One gradient step on one view. Returns loss and MSE before it; the surface is held fixed."""
+    def _optimise_view(self, view: BasedView, later: Sequence[BasedView] = ()) -> ViewStep:
+        """One gradient step on one view; the surface is held fixed. Returns loss and MSE before it.
+
+        Rows of ``later`` views are stepped, too. They are in the map after the last step, or when a rule looks at it.
+        """
         self.guard.may_stop()
         keyframe, below = view.keyframe, view.below
         camera, T_WC, target = keyframe.camera, keyframe.T_WC, keyframe.rgb
-        part = self.part_in_view(keyframe, self.config.residual.adam)
+        part = self.part_in_view(keyframe, self.config.residual.adam, [v.keyframe for v in later])
         watched = self.after_steps.watch(self.gaussians, keyframe, len(part.params))
         output, saved = render_over_base(part.params, camera, T_WC, below.base, behind_m=below.behind_m)
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
@@ -275,6 +279,7 @@ class GPSSLAM(TsdfMapping):
             loss, v_rgb = given.value, given.v_rgb
         gradients = render_over_base_vjp(saved, v_rgb, **watched.outputs)
         adam_step(part, gradients, self.config.residual.adam, self.training.optimiser)
-        part.write_back()
+        if not later or self.after_steps.is_used:
+            part.write_back()
         self.after_steps.finish(self, watched, keyframe, loss, output.rgb, part.rows)
         return loss, pixels.mse

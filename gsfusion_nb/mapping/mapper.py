@@ -121,7 +121,7 @@ class Mapper(ABC):
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
         self.boxes = Boxes()
         """Of the rows of ``gaussians``, to find those that a view may show."""
-        self._last_part: tuple[Frame | Keyframe | None, PartOfMap | None] = None, None
+        self._last_part: tuple[Sequence[Frame | Keyframe], PartOfMap | None] = (), None
         """View of the last step, and the rows that it changed."""
         self._steps_missed = False
         """Whether rows may have missed steps."""
@@ -240,23 +240,28 @@ class Mapper(ABC):
             self.gaussians.params, self.boxes, camera, T_WC,
         )  # fmt: skip
 
-    def part_in_view(self, view: Frame | Keyframe, optim: OptimConfig) -> "GaussianModel | PartOfMap":
+    def part_in_view(
+        self, view: Frame | Keyframe, optim: OptimConfig, later: Sequence[Keyframe] = ()
+    ) -> "GaussianModel | PartOfMap":
         """What a gradient step on this view changes: the rows that the view may show, or a small map as a whole.
 
-        Step after step on one view takes the same rows, as long as nothing else changes the map.
+        Step after step on one view takes the same rows, as long as nothing else changes the map. So do the steps on
+        ``later`` views, whose rows are taken together with these.
         """
-        last_view, last = self._last_part
-        if last_view is view and last is not None and last.is_current:
+        views, (last_views, last) = (view, *later), self._last_part
+        if last is not None and last.is_current and {id(v) for v in views} <= {id(v) for v in last_views}:
             self.gaussians.will_change(last.rows)
             return last
-        depth_m = view.farthest_m if isinstance(view, Keyframe) else view.depth_m
-        rows = self.boxes.rows(self.gaussians.params, view.camera, view.T_WC, depth_m)
+        depths = (v.farthest_m if isinstance(v, Keyframe) else v.depth_m for v in views)
+        seen = (self.boxes.rows(self.gaussians.params, v.camera, v.T_WC, d) for v, d in zip(views, depths, strict=True))
+        found = [x for x in seen if x is not None]
+        rows = None if len(found) < len(views) else torch.cat(found).unique() if later else found[0]
         self.gaussians.will_change(rows)
         part = self.gaussians if rows is None else PartOfMap(self.gaussians, rows, self.boxes)
         self._steps_missed |= rows is not None
         if self.training.optimiser is None and self._steps_missed:  # else a GPU would be waited for in small maps
             take_missed_steps(part, optim)
-        self._last_part = (view, part) if isinstance(part, PartOfMap) else (None, None)
+        self._last_part = (views, part) if isinstance(part, PartOfMap) else ((), None)
         return part
 
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:

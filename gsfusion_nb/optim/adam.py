@@ -311,12 +311,7 @@ class MissedSteps:
     """
 
     def __init__(
-        self,
-        missed: Int[Tensor, " R"],
-        start: Int[Tensor, " R"] | None,
-        beta1: float,
-        beta2: float,
-        eps: float,
+        self, missed: Int[Tensor, " R"], start: Int[Tensor, " R"] | None, beta1: float, beta2: float, eps: float
     ):
         self.eps, ratio = eps, beta1 / math.sqrt(beta2)
         self.decay1, self.decay2 = (beta ** missed.double() for beta in (beta1, beta2))

@@ -46,6 +46,9 @@ _REACH = math.sqrt(2 * math.log(1 / ALPHA_MIN))
 _MORE = 1.001
 """For rounding."""
 
+_CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
+"""Of a box of edge 1. [8, 3]"""
+
 View = TypeVar("View")
 
 
@@ -99,7 +102,7 @@ class Boxes:
         """Context in which rows are only added at the end of a map: the boxes of the others stay."""
         start, known = len(model.params) // CHUNK, self._of == _state(model.params)
         yield
-        if known:
+        if known and self._of != _state(model.params):
             more = _chunks_of(model.params[start * CHUNK :])
             self._chunks = Chunks(*(np.concatenate([x[:start], y]) for x, y in zip(self._chunks, more, strict=True)))
             self._of = _state(model.params)
@@ -209,7 +212,7 @@ def chunks_behind(
         farthest_m: From ``farthest_depth``.
     """
     low, high, reach_m = chunks
-    corners = np.stack([np.where(which, high, low) for which in itertools.product((False, True), repeat=3)], 1)
+    corners = low[:, None] + _CORNERS * (high - low)[:, None]
     xyz = corners @ T_CW[:3, :3].T + T_CW[:3, 3]  # [C, 8, 3]
     nearest_m = xyz[..., 2].min(1) - reach_m
     in_front = nearest_m > 0

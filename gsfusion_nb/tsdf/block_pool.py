@@ -3,6 +3,7 @@
 import contextlib
 import copy
 
+import numpy as np
 import torch
 from jaxtyping import Int
 from torch import Tensor
@@ -21,6 +22,9 @@ difference: float16 would stop 6 grey levels away from the mean and 8 bits 50 le
 would save memory, but converting them takes too long."""
 
 W_RGB_BYTES = VOXELS_PER_BLOCK * 4
+
+BLOCKS_IN_BOX = 64
+"""Rows for which it is known together where their blocks are. Neighbours in the pool were mostly seen together."""
 
 _FIRST_CAPACITY = 1024
 _GROWTH = {"cpu": (8.0, 2.0, 1.25, 1.05), "cuda": (1.25, 1.05), "files": (2.0, 1.25)}
@@ -42,6 +46,7 @@ class BlockPool:
         self.rgb = MAP_MEMORY.rows(capacity, 3, VOXELS_PER_BLOCK, device=device)
         self.W_rgb = MAP_MEMORY.rows(capacity, VOXELS_PER_BLOCK, device=device) if weighs_colours else None
         self.coords = MAP_MEMORY.rows(capacity, 3, dtype=torch.int32, device=device)
+        self._boxes = np.empty((0, 2, 3), np.int32)
 
     def hand_out(self, first: int, coords: Int[Tensor, "M 3"]) -> None:
         """Fill the rows from ``first`` on as those of blocks that were never observed."""
@@ -52,6 +57,16 @@ class BlockPool:
         if self.W_rgb is not None:
             self.W_rgb[rows] = 0.0
         self.coords[rows] = coords
+
+    def boxes(self, n_blocks: int) -> Int[np.ndarray, "C 2 3"]:
+        """Lowest and highest ``coords`` in each ``BLOCKS_IN_BOX`` of the first ``n_blocks`` rows, on a CPU."""
+        boxes, start = self._boxes, BLOCKS_IN_BOX * len(self._boxes)
+        if start < n_blocks:
+            coords, first = self.coords[start:n_blocks].numpy(), np.arange(0, n_blocks - start, BLOCKS_IN_BOX)
+            more = np.stack([extreme.reduceat(coords, first) for extreme in (np.minimum, np.maximum)], 1)
+            boxes = np.concatenate([boxes, more])
+            self._boxes = boxes[: n_blocks // BLOCKS_IN_BOX]  # the last one may not be full
+        return boxes
 
     def with_room_for(self, n_blocks: int, *, limit_bytes: int | None, voxel_size_m: float) -> "BlockPool":
         """This pool, or a larger copy; it grows by a factor, so that the cost of copying stays constant per block.

@@ -7,6 +7,7 @@ import functools
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -115,6 +116,11 @@ class TsdfVolume:
     def block_coords(self) -> Int[Tensor, "B 3"]:
         """Integer coordinates of every block, int32; times 8 voxel sizes gives its lower corner."""
         return self._pool.coords[: self.n_blocks]
+
+    @property
+    def block_boxes(self) -> Int[np.ndarray, "C 2 3"]:
+        """Lowest and highest of the ``block_coords`` of each ``BLOCKS_IN_BOX`` rows, on a CPU."""
+        return self._pool.boxes(self.n_blocks)
 
     @property
     def block_size_m(self) -> float:

@@ -24,7 +24,9 @@ from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
+from ..runtime.arguments import lens_of
 from ..runtime.numba.launch import launching
+from ..runtime.numba.scalars import rows_in_view
 from ..runtime.numba.simd import (
     absolute,
     any_lane,
@@ -188,45 +190,33 @@ def farthest(largest, levels, box, width, height):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def find_observable(coords, M, axis_z, limits, size, pyramid, seen):
-    """Set ``seen`` for the blocks with a voxel that may be observed: in view, not beyond ``far_m``, not hidden.
+def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
+    """Those of the ``rows_in_view`` with a voxel that may be observed: in the picture, not too far, not hidden.
 
     M [3, 4]: homogeneous pixel coordinates (U, V, Z) of a world point. axis_z: third row of T_CW.
     """
-    B = coords.shape[0]
+    seen = np.zeros(len(rows), np.bool_)
     height, width = size
     far, truncation = limits.far, limits.truncation
     largest, levels = pyramid.largest, pyramid.levels
     side = BLOCK_VOXELS * limits.voxel_size
     half_z = 0.5 * side * (abs(axis_z[0]) + abs(axis_z[1]) + abs(axis_z[2]))
-    radius = 0.5 * side * np.sqrt(3.0)
-    # |fx axis_x + (cx - edge) axis_z| for the two edges of the picture along u, and the same along v
-    normal_u, normal_v = 0.0, 0.0
-    for edge in (0.0, 1.0):
-        u2, v2 = 0.0, 0.0
-        for k in range(3):
-            u2 += (M[0, k] - edge * (width + 2) * M[2, k]) ** 2
-            v2 += (M[1, k] - edge * (height + 2) * M[2, k]) ** 2
-        normal_u, normal_v = max(normal_u, radius * np.sqrt(u2)), max(normal_v, radius * np.sqrt(v2))
-    chunk = 256
-    for part in prange((B + chunk - 1) // chunk):
-        for i in range(part * chunk, min(B, part * chunk + chunk)):
-            x, y, z = side * (coords[i, 0] + 0.5), side * (coords[i, 1] + 0.5), side * (coords[i, 2] + 0.5)
-            Z = M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3]
-            if Z + half_z <= 0.0 or Z - half_z >= far + truncation:
+    for i in prange(len(rows)):
+        b = rows[i]
+        x, y, z = side * (coords[b, 0] + 0.5), side * (coords[b, 1] + 0.5), side * (coords[b, 2] + 0.5)
+        Z = M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3]
+        if Z + half_z <= 0.0 or Z - half_z >= far + truncation:
+            continue
+        U = M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3]
+        V = M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3]
+        low_u, low_v, high_u, high_v = 0.0, 0.0, width + 1.0, height + 1.0
+        if Z - half_z > 0.01:
+            low_u, high_u, low_v, high_v = _box_around(M, (U, V, Z), side)
+            if high_u < 1.0 or high_v < 1.0 or low_u > width + 1 or low_v > height + 1:
                 continue
-            U = M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3]
-            V = M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3]
-            # distances to the four sides of the view, times the lengths of their normals
-            if min(U, (width + 2) * Z - U) < -normal_u or min(V, (height + 2) * Z - V) < -normal_v:
-                continue
-            low_u, low_v, high_u, high_v = 0.0, 0.0, width + 1.0, height + 1.0
-            if Z - half_z > 0.01:
-                low_u, high_u, low_v, high_v = _box_around(M, (U, V, Z), side)
-                if high_u < 1.0 or high_v < 1.0 or low_u > width + 1 or low_v > height + 1:
-                    continue
-            box = (low_u - 1.0, high_u - 1.0, low_v - 1.0, high_v - 1.0)
-            seen[i] = Z - half_z < farthest(largest, levels, box, width, height) + truncation + 1e-5 * Z
+        box = (low_u - 1.0, high_u - 1.0, low_v - 1.0, high_v - 1.0)
+        seen[i] = Z - half_z < farthest(largest, levels, box, width, height) + truncation + 1e-5 * Z
+    return rows[seen]
 
 
 @njit(cache=True, error_model="numpy")
@@ -270,9 +260,10 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     voxels = Voxels(coords=volume.block_coords.numpy(), D=D, W=W, rgb=colours, W_rgb=W_rgb)
     with launching():
         packed, pyramid = packed_image(depth, in_bytes, config.near_m)
-        seen = np.zeros(volume.n_blocks, np.uint8)
-        find_observable(voxels.coords, K @ T_CW[:3], T_CW[2], limits, depth.shape, pyramid, seen)
-        rows = np.flatnonzero(seen).astype(np.int32)
+        end_m = min(limits.far, float(pyramid.largest[-1])) + limits.truncation
+        pixel_m = (end_m + volume.block_size_m) / min(camera.fx, camera.fy)
+        rows = rows_in_view(volume, T_CW, lens_of(camera), depth.shape, end_m, pixel_m)
+        rows = find_observable(voxels.coords, rows, K @ T_CW[:3], T_CW[2], limits, depth.shape, pyramid)
         updated = np.zeros(-(-len(rows) // _CHUNK), np.int64)
         _fuse(rows, voxels, (packed, rgb), depth.shape, (T_CW, K), limits, method, updated)
     return int(updated.sum())

@@ -30,7 +30,7 @@ from gsfusion_nb.types import Camera
 
 from ..runtime.arguments import IN_NODE, NODE_BITS, NODE_SHIFT, BlockTable, lens_of, parts, ray_slopes
 from ..runtime.numba.launch import launching, scratch
-from ..runtime.numba.scalars import sphere_around
+from ..runtime.numba.scalars import rows_in_view
 from ..runtime.numba.simd import (
     absolute,
     any_lane,
@@ -234,11 +234,8 @@ NEAR_END, FAR_END = range(2)
 _U0, _U1, _V0, _V1 = range(4)
 """Columns of the tiles that a block covers: first and last of a row, first and last row. None if last < first."""
 
-_CHUNK = 64
-"""Blocks of one parallel task."""
-
-CHUNKS_AT_ONCE = 16
-"""Such tasks that a thread takes together. Blocks in view were mostly made together, so halves of all are not even."""
+BLOCKS_AT_ONCE = 64
+"""Blocks that a thread takes together."""
 
 NEAR_BLOCKS = 1 << 21
 """Largest box of blocks around those in view (8 MB) of which a table is made for the rays."""
@@ -249,68 +246,48 @@ as long as about so many rays take to ask for W as well; fresh memory for the co
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def look_up(blocks, T_CW, lens, sizes, size, tile_px, marked, spans, met):
-    """Which blocks rays can meet, and where. blocks: [B, 3], and D and W of their voxels, block after block.
+def look_up(blocks, rows, T_CW, lens, side, size, tile_px, marked, spans):
+    """Where rays can meet the blocks in some ``rows``. blocks: [B, 3], and D and W of their voxels, block after block.
 
     Sets ``spans`` [rows, columns, 2] to the depths between which the rays of each tile of pixels can meet a block, and
-    ``marked`` to D where a voxel has been observed, else infinity, in the blocks that rays may look up. Those are the
-    blocks whose bounding sphere, larger by the reach of an interpolation, meets the view: ``met``. Returns whether
-    ``marked`` has been set: it is left as it was where there are so few rays that the copy would take longer than they
-    do.
+    ``marked`` to D where a voxel has been observed, else infinity, in these blocks. Returns whether ``marked`` has been
+    set: it is left as it was where there are so few rays that the copy would take longer than they do.
     """
     coords, D, W = blocks
-    B = coords.shape[0]
     ny, nx = spans.shape[0], spans.shape[1]
-    covers, depths = np.empty((B, 4), np.int32), np.empty((B, 2), np.float32)
-    radius = 0.5 * sizes.block * np.sqrt(3.0) + 2 * sizes.voxel
-    for task in prange((B + _CHUNK - 1) // _CHUNK):
-        first, last = task * _CHUNK, min(B, task * _CHUNK + _CHUNK)
-        centre, away = sphere_around(coords[first:last], sizes.block)
-        if not _meets_view(centre, T_CW, lens, size, radius + away):
-            met[first:last], covers[first:last, _U0], covers[first:last, _U1] = False, 0, -1
-            continue
-        for b in range(first, last):
-            covers[b, _U0], covers[b, _U1] = 0, -1
-            x, y, z = coords[b, 0] + 0.5, coords[b, 1] + 0.5, coords[b, 2] + 0.5
-            met[b] = _meets_view((sizes.block * x, sizes.block * y, sizes.block * z), T_CW, lens, size, radius)
-            if met[b]:
-                _project(coords[b], T_CW, lens, sizes.block, tile_px, (ny, nx), covers[b], depths[b])
+    many = size[0] * size[1] >= FEW_RAYS * len(rows)
+    covers, depths = np.empty((len(rows), 4), np.int32), np.empty((len(rows), 2), np.float32)
+    for k in prange(len(rows)):
+        covers[k, _U0], covers[k, _U1] = 0, -1
+        _project(coords[rows[k]], T_CW, lens, side, tile_px, (ny, nx), covers[k], depths[k])
+        if many:
+            _mark(D, W, rows[k], marked)
     spans[:, :, NEAR_END], spans[:, :, FAR_END] = np.inf, _ZERO
-    in_view = 0
-    for b in range(B):
-        in_view += met[b]
-        if covers[b, _U1] < covers[b, _U0]:
+    for k in range(len(rows)):
+        if covers[k, _U1] < covers[k, _U0]:
             continue
-        for i in range(covers[b, _V0], covers[b, _V1] + 1):
-            for j in range(covers[b, _U0], covers[b, _U1] + 1):
-                spans[i, j, NEAR_END] = min(spans[i, j, NEAR_END], depths[b, NEAR_END])
-                spans[i, j, FAR_END] = max(spans[i, j, FAR_END], depths[b, FAR_END])
-    many = size[0] * size[1] >= FEW_RAYS * in_view
-    if many:
-        for task in prange((B + _CHUNK - 1) // _CHUNK):
-            for b in range(task * _CHUNK, min(B, task * _CHUNK + _CHUNK)):
-                if met[b]:
-                    _mark(D, W, b, marked)
+        for i in range(covers[k, _V0], covers[k, _V1] + 1):
+            for j in range(covers[k, _U0], covers[k, _U1] + 1):
+                spans[i, j, NEAR_END] = min(spans[i, j, NEAR_END], depths[k, NEAR_END])
+                spans[i, j, FAR_END] = max(spans[i, j, FAR_END], depths[k, FAR_END])
     return many
 
 
 @njit(cache=True, error_model="numpy")
-def near_blocks(coords, met, most):
-    """A table of the blocks that were ``met``, without entries if their box has more than ``most`` blocks."""
+def near_blocks(coords, rows, most):
+    """A table of the blocks in ``rows``, without entries if their box has more than ``most`` blocks."""
     low, high = np.full(3, 1 << 30, np.int32), np.full(3, -(1 << 30), np.int32)
-    for b in range(coords.shape[0]):
-        if met[b]:
-            for axis in range(3):
-                low[axis], high[axis] = min(low[axis], coords[b, axis]), max(high[axis], coords[b, axis])
+    for b in rows:
+        for axis in range(3):
+            low[axis], high[axis] = min(low[axis], coords[b, axis]), max(high[axis], coords[b, axis])
     size = np.maximum(high - low + np.int32(1), np.int32(0))
     cells = np.int64(size[0]) * size[1] * size[2]
-    rows = np.full(cells if cells <= most else 0, np.int32(-1), np.int32)
+    table = np.full(cells if cells <= most else 0, np.int32(-1), np.int32)
     if cells <= most:
-        for b in range(coords.shape[0]):
-            if met[b]:
-                x, y, z = coords[b, 0] - low[0], coords[b, 1] - low[1], coords[b, 2] - low[2]
-                rows[(x * size[1] + y) * size[2] + z] = b
-    return rows, low, size
+        for b in rows:
+            x, y, z = coords[b, 0] - low[0], coords[b, 1] - low[1], coords[b, 2] - low[2]
+            table[(x * size[1] + y) * size[2] + z] = b
+    return table, low, size
 
 
 @njit(cache=True, error_model="numpy")
@@ -319,23 +296,6 @@ def _mark(D, W, block, marked):
     infinite, zero = splat(_INFINITE), splat(_ZERO)
     for at in range(block * VOXELS_PER_BLOCK, (block + 1) * VOXELS_PER_BLOCK, 16):
         store(marked, at, select(load(W, at) > zero, load(D, at), infinite))
-
-
-@njit(cache=True, error_model="numpy")
-def _meets_view(centre, T_CW, lens, size, radius):
-    """Whether a sphere meets the view."""
-    height, width = size
-    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
-    X, Y, Z = centre
-    z = T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3]
-    if z < -radius:
-        return False
-    x = T_CW[0, 0] * X + T_CW[0, 1] * Y + T_CW[0, 2] * Z + T_CW[0, 3]
-    y = T_CW[1, 0] * X + T_CW[1, 1] * Y + T_CW[1, 2] * Z + T_CW[1, 3]
-    slope_u, slope_v = math.sqrt(fx * fx + max(cx, width - cx) ** 2), math.sqrt(fy * fy + max(cy, height - cy) ** 2)
-    aside = min(fx * x + cx * z, (width - cx) * z - fx * x)
-    above = min(fy * y + cy * z, (height - cy) * z - fy * y)
-    return aside >= -radius * slope_u and above >= -radius * slope_v
 
 
 @njit(cache=True, error_model="numpy")
@@ -393,14 +353,14 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     T_CW = se3.inverse(pose.double()).numpy()
     spans = np.empty((parts(camera.height, TILE_PX), parts(camera.width, TILE_PX), 2), np.float32)
     with launching():
-        copy, met = scratch("raycast", D.size), np.empty(len(blocks[0]), np.bool_)
-        with parallel_chunksize(CHUNKS_AT_ONCE):
-            copied = look_up(blocks, T_CW, lens, exact, size, TILE_PX, copy, spans, met)
+        copy, rows = scratch("raycast", D.size), rows_in_view(volume, T_CW, lens, size, np.inf, 2 * config.voxel_size_m)
+        with parallel_chunksize(BLOCKS_AT_ONCE):
+            copied = look_up(blocks, rows, T_CW, lens, volume.block_size_m, size, TILE_PX, copy, spans)
         field = Marked(copy) if copied else Unmarked(D, W)
-        near = Near(*near_blocks(blocks[0], met, NEAR_BLOCKS))
+        near = Near(*near_blocks(blocks[0], rows, NEAR_BLOCKS))
         with parallel_chunksize(spans.shape[1]):  # a row of tiles: neighbours meet the same voxels
             pictures = depth.numpy(), normal.numpy(), rgb.numpy()
-            lookup = near if near.rows.size or not met.any() else BlockTable.of(table)
+            lookup = near if near.rows.size or not rows.size else BlockTable.of(table)
             _march(lookup, field, colours, rays, sizes, spans, TILE_PX, *pictures)
     return RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
 

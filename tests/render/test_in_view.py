@@ -10,7 +10,7 @@ from gsfusion_nb.config import OptimConfig, gps_slam, gsfusion, replace, rtg_sla
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
-from gsfusion_nb.optim import PartOfMap, adam_step
+from gsfusion_nb.optim import Keyframe, PartOfMap, adam_step
 from gsfusion_nb.render import Boxes, drawn_in_part, farthest_depth, in_view, render, rows_in_view
 from gsfusion_nb.types import Camera, GaussianParams
 
@@ -44,8 +44,8 @@ def poses(generator, n):
         yield se3.exp(xi)
 
 
-def chosen(boxes, params, T_WC):
-    rows = boxes.rows(params, CAMERA, T_WC)
+def chosen(boxes, params, T_WC, camera=CAMERA, depth_m=None):
+    rows = boxes.rows(params, camera, T_WC, depth_m)
     assert rows is not None
     return rows
 
@@ -208,6 +208,37 @@ def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_roo
     undo()
     assert all(torch.equal(before[name], column) for name, column in mapper.gaussians.columns.items())
     assert mapper.part_in_view(frame, optim) is not part
+
+
+def test_steps_on_several_views_share_one_part(small_room, cloud):
+    mapper = GSFusion(replace(gsfusion("room"), sh_degree=0, **STEPS, **COARSE))
+    mapper.begin_with(cloud)
+    optim, params = mapper.config.optim, mapper.gaussians.params
+    views = [Keyframe.of(small_room[i]) for i in (0, 4, 8)]
+    seen = [chosen(mapper.boxes, params, view.T_WC, view.camera, view.farthest_m) for view in views]
+    part = mapper.part_in_view(views[0], optim, views[1:])
+    assert isinstance(part, PartOfMap)
+    assert torch.equal(part.rows, torch.cat(seen).unique())
+    assert mapper.part_in_view(views[1], optim, views[2:]) is part
+    assert mapper.part_in_view(views[1], optim, [Keyframe.of(small_room[1])]) is not part
+
+
+@pytest.mark.parametrize(
+    "rule", [{}, {"seeding__rule": "default_strategy", "seeding__options": {"seeds_by": "uniform", "share": 0.02}}]
+)
+def test_steps_of_gps_slam_in_parts_are_those_on_the_whole_map(rule, small_room, monkeypatch):
+    maps = []
+    monkeypatch.setattr(in_view, "MOSTLY_SEEN", 2.0)  # a part even if it is all of a map this small
+    for whole_below in (10**9, 0):
+        monkeypatch.setattr(in_view, "WHOLE_BELOW", whole_below)
+        mapper = GPSSLAM(replace(gps_slam("room"), **rule, **COARSE))
+        for i in range(14):
+            mapper.step(small_room[i])
+        maps.append(mapper.gaussians)
+    assert maps[0].step_count == maps[1].step_count > 4
+    assert len(maps[0]) == len(maps[1]) > 0
+    for name, column in vars(maps[0].params).items():
+        torch.testing.assert_close(getattr(maps[1].params, name), column, atol=1e-3, rtol=1e-3)
 
 
 def test_a_picture_by_depth_has_nothing_far_behind_it(generator):

@@ -3,6 +3,7 @@ import torch
 
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume, estimate_memory
+from gsfusion_nb.tsdf.block_pool import BLOCKS_IN_BOX
 from gsfusion_nb.tsdf.volume import corner_gradients, corner_weights
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
@@ -34,6 +35,18 @@ def test_values_survive_growth(generator):
     assert bool((volume.D[row] == 0.25).all())
     assert bool((volume.W[row] == 3).all())
     assert float(volume.W.sum()) == 3 * 512
+
+
+def test_boxes_of_blocks_follow_the_pool(generator):
+    volume = TsdfVolume(CONFIG)
+    assert len(volume.block_boxes) == 0
+    for n in (5, 59, 1, 0, 200):
+        volume.add_blocks(torch.randint(-400, 400, (n, 3), generator=generator))
+        parts = volume.block_coords.split(BLOCKS_IN_BOX)
+        assert volume.block_boxes.tolist() == [[x.amin(0).tolist(), x.amax(0).tolist()] for x in parts]
+    loaded = TsdfVolume(CONFIG)
+    loaded.load_state_dict(volume.state_dict())
+    assert loaded.block_boxes.tolist() == volume.block_boxes.tolist()
 
 
 @pytest.mark.parametrize("limit", [None, 10_000])

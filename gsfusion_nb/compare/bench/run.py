@@ -310,16 +310,15 @@ _GROWTH_VOXEL_M = 0.04
 def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
     """A square building of equal rooms through which the camera walks, room by room: the mean time of a frame in each.
 
-    Rooms 1, 2, 4, 8 and so on have a row. The last note of a system has the exponent b of  time = a rooms^b  by least
-    squares over all rooms. It is 0 if the size of the map does not matter.
+    Rooms 1, 2, 3 to 4, 5 to 8 and so on have a row, the median of these rooms. The last note of a system has the
+    exponent b of  time = a rooms^b  by least squares over all rooms. It is 0 if the size of the map does not matter.
     """
     if options.data != "room":
         raise ValueError(f"the building of growth is made of the built-in room; leave out --data {options.data}")
-    n_rooms, n_frames = (4, 3) if options.quick else (ROOMS, ROOM_FRAMES)
+    n_rooms, n_frames = 4 if options.quick else ROOMS, options.frames or (3 if options.quick else ROOM_FRAMES)
     width, height = options.sizes[0] if options.size else ROOM_SIZE
-    n_frames = options.frames or n_frames
     building = RoomSequence(n_frames=n_frames, rooms=n_rooms, width=width, height=height)
-    case = f"room {width}x{height}, room"
+    case = f"room {width}x{height}, rooms"
     for name, system in SYSTEMS.items():
         config, laps = system.preset("room"), list[Lap]()
         config = replace(config, tsdf__voxel_size_m=_GROWTH_VOXEL_M) if hasattr(config, "tsdf") else config
@@ -332,14 +331,15 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
                 took = lap(lambda m=mapper, f=frames: [m.step(frame) for frame in f])
                 laps.append(Lap(took.wall_s / n_frames, took.cpu_s / n_frames))
                 if n < n_rooms and n & (n - 1) == 0:
-                    yield _growth_row(f"{case} {n}", name, len(mapper.gaussians), summary(laps[-1:]))
+                    yield _growth_row(case, name, mapper, laps)
         b = np.polyfit(np.log(np.arange(1, n_rooms + 1)), np.log([x.cpu_s for x in laps]), 1)[0]
-        timing, note = summary(laps[-1:], memory.peak_mb), f", exponent {b:.2f}"
-        yield _growth_row(f"{case} {n_rooms}", name, len(mapper.gaussians), timing, note)
+        yield _growth_row(case, name, mapper, laps, f", exponent {b:.2f}", memory.peak_mb)
 
 
-def _growth_row(case: str, name: str, n: int, timing: Timing, note: str = "") -> BenchRow:
-    note, values = f"{n / 1e3:.1f}k{note}", {"n_gaussians": n}
+def _growth_row(case: str, name: str, mapper: Any, laps: list[Lap], more: str = "", peak_mb: Any = None) -> BenchRow:
+    n, half = len(mapper.gaussians), len(laps) // 2
+    case, note = f"{case} {half + 1} to {len(laps)}", f"{n / 1e3:.1f}k{more}"
+    timing, values = summary(laps[half:], peak_mb), {"n_gaussians": n}
     return BenchRow(section="growth", case=case, method=name, timing=timing, note=note, values=values)
 
 

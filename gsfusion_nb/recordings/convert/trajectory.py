@@ -39,10 +39,7 @@ class FramePoses:
             self.notes.append(f"{file}: one pose per frame, taken as camera-to-world, OpenCV axes, metres")
         elif file:
             self.trajectory = read_trajectory(
-                Path(file),
-                time_unit=options.pose_time_unit,
-                max_gap_s=options.max_gap_s,
-                T_body_cam=self._T_body_cam,
+                Path(file), time_unit=options.pose_time_unit, max_gap_s=options.max_gap_s, T_body_cam=self._T_body_cam
             )
             self.notes += self.trajectory.notes
         elif not self.none and not recording.has_poses:
