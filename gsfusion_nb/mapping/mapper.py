@@ -122,7 +122,7 @@ class Mapper(ABC):
         self.boxes = Boxes()
         """Of the rows of ``gaussians``, to find those that a view may show."""
         self._last_part: tuple[Sequence[Frame | Keyframe], PartOfMap | None] = (), None
-        """View of the last step, and the rows that it changed."""
+        """Views of the last steps of this frame, and the rows that they changed."""
         self._steps_missed = False
         """Whether rows may have missed steps."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
@@ -245,7 +245,7 @@ class Mapper(ABC):
     ) -> "GaussianModel | PartOfMap":
         """What a gradient step on this view changes: the rows that the view may show, or a small map as a whole.
 
-        Step after step on one view takes the same rows, as long as nothing else changes the map. So do the steps on
+        The steps of a frame on one view take the same rows, as long as nothing else changes the map. So do the steps on
         ``later`` views, whose rows are taken together with these.
         """
         views, (last_views, last) = (view, *later), self._last_part
@@ -279,6 +279,7 @@ class Mapper(ABC):
         yield from self.passes.run(passes, len(self.keyframes), self.random.passes, self._watched_global_step)
 
     def _watched_global_step(self, i: int) -> Float[Tensor, ""]:
+        self._last_part = (), None
         with self.watch(None):
             return self._global_step(i)
 
@@ -301,6 +302,7 @@ class Mapper(ABC):
                 raise
             finally:
                 self.after_steps.frame_ends()
+                self._last_part = (), None  # a resumed run has none
             if self.passes.begun:  # with more frames, the optimisation after the scan starts again
                 self.passes = KeyframePasses()
 

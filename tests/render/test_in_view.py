@@ -223,6 +223,19 @@ def test_steps_on_several_views_share_one_part(small_room, cloud):
     assert mapper.part_in_view(views[1], optim, [Keyframe.of(small_room[1])]) is not part
 
 
+def test_no_part_is_kept_from_one_frame_to_the_next(small_room, cloud):
+    """A run that is resumed between them has none, and should go on with the same bits."""
+    mapper = GPSSLAM(replace(gps_slam("room"), **COARSE, schedule__iterations=0))
+    mapper.begin_with(cloud)
+    mapper.step(small_room[0])
+    view = Keyframe.of(small_room[4])
+    part = mapper.part_in_view(view, mapper.config.residual.adam)
+    mapper.step(small_room[1])
+    assert isinstance(part, PartOfMap)
+    assert part.is_current
+    assert mapper.part_in_view(view, mapper.config.residual.adam) is not part
+
+
 @pytest.mark.parametrize(
     "rule", [{}, {"seeding__rule": "default_strategy", "seeding__options": {"seeds_by": "uniform", "share": 0.02}}]
 )

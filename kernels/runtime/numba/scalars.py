@@ -92,11 +92,10 @@ def _meet(coords, boxes, T_CW, lens, size, end, side, radius, met):
         x, y, z = 0.5 * (low[0] + high[0] + 1), 0.5 * (low[1] + high[1] + 1), 0.5 * (low[2] + high[2] + 1)
         dx, dy, dz = high[0] - low[0], high[1] - low[1], high[2] - low[2]
         around = radius + 0.5 * side * math.sqrt(dx * dx + dy * dy + dz * dz)
-        if not _meets_view(side * x, side * y, side * z, T_CW, lens, size, end, 1.001 * around):  # for rounding
-            continue
-        for b in range(box * BLOCKS_IN_BOX, min(len(met), (box + 1) * BLOCKS_IN_BOX)):
-            x, y, z = coords[b, 0] + 0.5, coords[b, 1] + 0.5, coords[b, 2] + 0.5
-            met[b] = _meets_view(side * x, side * y, side * z, T_CW, lens, size, end, radius)
+        if _meets_view(side * x, side * y, side * z, T_CW, lens, size, end, 1.001 * around):  # for rounding
+            for b in range(box * BLOCKS_IN_BOX, min(len(met), (box + 1) * BLOCKS_IN_BOX)):
+                x, y, z = coords[b, 0] + 0.5, coords[b, 1] + 0.5, coords[b, 2] + 0.5
+                met[b] = _meets_view(side * x, side * y, side * z, T_CW, lens, size, end, radius)
 
 
 @njit(cache=True, error_model="numpy")
