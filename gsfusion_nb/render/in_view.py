@@ -46,9 +46,6 @@ _REACH = math.sqrt(2 * math.log(1 / ALPHA_MIN))
 _MORE = 1.001
 """For rounding."""
 
-_CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
-"""Of a box of edge 1. [8, 3]"""
-
 View = TypeVar("View")
 
 
@@ -212,7 +209,7 @@ def chunks_behind(
         farthest_m: From ``farthest_depth``.
     """
     low, high, reach_m = chunks
-    corners = low[:, None] + _CORNERS * (high - low)[:, None]
+    corners = np.stack([np.where(which, high, low) for which in itertools.product((False, True), repeat=3)], 1)
     xyz = corners @ T_CW[:3, :3].T + T_CW[:3, 3]  # [C, 8, 3]
     nearest_m = xyz[..., 2].min(1) - reach_m
     in_front = nearest_m > 0

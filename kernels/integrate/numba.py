@@ -24,9 +24,8 @@ from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
-from ..runtime.arguments import lens_of
+from ..runtime.numba.blocks import blocks_in_view
 from ..runtime.numba.launch import launching
-from ..runtime.numba.scalars import rows_in_view
 from ..runtime.numba.simd import (
     absolute,
     any_lane,
@@ -191,7 +190,7 @@ def farthest(largest, levels, box, width, height):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
-    """Those of the ``rows_in_view`` with a voxel that may be observed: in the picture, not too far, not hidden.
+    """Those of the ``blocks_in_view`` with a voxel that may be observed: in the picture, not too far, not hidden.
 
     M [3, 4]: homogeneous pixel coordinates (U, V, Z) of a world point. axis_z: third row of T_CW.
     """
@@ -262,7 +261,7 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         packed, pyramid = packed_image(depth, in_bytes, config.near_m)
         end_m = min(limits.far, float(pyramid.largest[-1])) + limits.truncation
         pixel_m = (end_m + volume.block_size_m) / min(camera.fx, camera.fy)
-        rows = rows_in_view(volume, T_CW, lens_of(camera), depth.shape, end_m, pixel_m)
+        rows = blocks_in_view(volume, camera, T_CW, end_m, pixel_m)
         rows = find_observable(voxels.coords, rows, K @ T_CW[:3], T_CW[2], limits, depth.shape, pyramid)
         updated = np.zeros(-(-len(rows) // _CHUNK), np.int64)
         _fuse(rows, voxels, (packed, rgb), depth.shape, (T_CW, K), limits, method, updated)

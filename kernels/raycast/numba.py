@@ -31,8 +31,8 @@ from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
 
 from ..runtime.arguments import IN_NODE, NODE_BITS, NODE_SHIFT, BlockTable, lens_of, parts, ray_slopes
+from ..runtime.numba.blocks import blocks_in_view
 from ..runtime.numba.launch import launching, scratch
-from ..runtime.numba.scalars import rows_in_view
 from ..runtime.numba.simd import (
     absolute,
     any_lane,
@@ -65,9 +65,9 @@ _MARGIN = f32(0.01)
 class Sizes(NamedTuple):
     """Edge of a voxel, truncation distance and edge of a block, metres."""
 
-    voxel: float | np.float32
-    truncation: float | np.float32
-    block: float | np.float32
+    voxel: np.float32
+    truncation: np.float32
+    block: np.float32
 
 
 class Marked(NamedTuple):
@@ -346,15 +346,14 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     pose = T_WC.detach().cpu()
     rays = _in_fours(x).tile(1, 4).numpy(), _in_fours(y).repeat_interleave(4, 1).numpy(), pose.to(torch.float32).numpy()
     lens, size = lens_of(camera, f32), (camera.height, camera.width)
-    config = volume.config
-    exact = Sizes(voxel=config.voxel_size_m, truncation=config.truncation_m, block=volume.block_size_m)
-    sizes = Sizes(*(f32(length) for length in exact))
+    sizes = Sizes(*map(f32, (volume.config.voxel_size_m, volume.config.truncation_m, volume.block_size_m)))
     D, W, colours = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes))
     blocks = volume.block_coords.numpy(), D, W
     T_CW = se3.inverse(pose.double()).numpy()
     spans = np.empty((parts(camera.height, TILE_PX), parts(camera.width, TILE_PX), 2), np.float32)
     with launching():
-        copy, rows = scratch("raycast", D.size), rows_in_view(volume, T_CW, lens, size, np.inf, 2 * config.voxel_size_m)
+        copy = scratch("raycast", D.size)
+        rows = blocks_in_view(volume, camera, T_CW, np.inf, 2 * volume.config.voxel_size_m)
         with parallel_chunksize(BLOCKS_AT_ONCE):
             copied = look_up(blocks, rows, T_CW, lens, volume.block_size_m, size, TILE_PX, copy, spans)
         field = Marked(copy) if copied else Unmarked(D, W)

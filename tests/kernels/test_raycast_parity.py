@@ -96,7 +96,7 @@ def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
     """Blocks that no ray can meet do not count: all rays start at the nearest block of their tile, or never."""
     from gsfusion_nb.kernels.raycast.numba import NEAR_END, look_up
     from gsfusion_nb.kernels.runtime.arguments import lens_of
-    from gsfusion_nb.kernels.runtime.numba.scalars import rows_in_view
+    from gsfusion_nb.kernels.runtime.numba.blocks import blocks_in_view
 
     _, frames = mapped
     beside = TsdfVolume(CONFIG)
@@ -106,12 +106,12 @@ def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
     blocks = beside.block_coords.numpy(), beside.D.view(-1).numpy(), beside.W.view(-1).numpy()
     spans = torch.empty(15, 20, 2).numpy()
     T_CW, marked = torch.eye(4, dtype=torch.float64).numpy(), torch.empty(5 * 512).numpy()
-    rows = rows_in_view(beside, T_CW, lens, size, float("inf"), 0.04)
+    rows = blocks_in_view(beside, camera, T_CW, float("inf"), 0.04)
     look_up(blocks, rows, T_CW, lens, beside.block_size_m, size, 8, marked, spans)
     z = beside.block_coords[rows, 2].tolist()
     assert 20 in z
     assert -3 not in z
-    assert 20 not in beside.block_coords[rows_in_view(beside, T_CW, lens, size, 2.0, 0.04), 2]
+    assert 20 not in beside.block_coords[blocks_in_view(beside, camera, T_CW, 2.0, 0.04), 2]
     near = spans[..., NEAR_END]
     assert near.min() == pytest.approx(20 * beside.block_size_m, rel=1e-3)
     assert 0 < (near < float("inf")).sum() < 16

@@ -331,15 +331,15 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
                 took = lap(lambda m=mapper, f=frames: [m.step(frame) for frame in f])
                 laps.append(Lap(took.wall_s / n_frames, took.cpu_s / n_frames))
                 if n < n_rooms and n & (n - 1) == 0:
-                    yield _growth_row(case, name, mapper, laps)
+                    yield _growth_row(case, name, len(mapper.gaussians), laps)
         b = np.polyfit(np.log(np.arange(1, n_rooms + 1)), np.log([x.cpu_s for x in laps]), 1)[0]
-        yield _growth_row(case, name, mapper, laps, f", exponent {b:.2f}", memory.peak_mb)
+        yield _growth_row(case, name, len(mapper.gaussians), laps, f", exponent {b:.2f}", memory.peak_mb)
 
 
-def _growth_row(case: str, name: str, mapper: Any, laps: list[Lap], more: str = "", peak_mb: Any = None) -> BenchRow:
-    n, half = len(mapper.gaussians), len(laps) // 2
+def _growth_row(case: str, name: str, n: int, laps: list[Lap], more: str = "", mb: float | None = None) -> BenchRow:
+    half = len(laps) // 2
     case, note = f"{case} {half + 1} to {len(laps)}", f"{n / 1e3:.1f}k{more}"
-    timing, values = summary(laps[half:], peak_mb), {"n_gaussians": n}
+    timing, values = summary(laps[half:], mb), {"n_gaussians": n}
     return BenchRow(section="growth", case=case, method=name, timing=timing, note=note, values=values)
 
 
