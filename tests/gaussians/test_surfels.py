@@ -16,6 +16,7 @@ from gsfusion_nb.gaussians import (
     Transitions,
     change_states,
     count_errors,
+    radius_of,
 )
 from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.geometry.spherical_harmonics import sh_basis
@@ -51,6 +52,12 @@ def test_normal_is_the_thinnest_axis_by_hand():
     torch.testing.assert_close(one_disc((0.001, 0.02, 0.03)).normal_W, torch.tensor([[1.0, 0, 0]]))
     turned = one_disc((0.001, 0.02, 0.03), (half, 0.0, 0.0, half))  # a quarter turn about z: x goes to y
     torch.testing.assert_close(turned.normal_W, torch.tensor([[0.0, 1, 0]]))
+
+
+def test_radius_is_the_mean_of_the_two_largest_standard_deviations():
+    sizes = [(0.01, 0.03, 0.05), (0.05, 0.01, 0.03), (0.03, 0.05, 0.01)]
+    torch.testing.assert_close(radius_of(torch.tensor(sizes)), torch.full((3,), 0.04))
+    torch.testing.assert_close(one_disc((0.02, 0.006, 0.001)).radius_m, torch.tensor([0.013]))
 
 
 def test_rows_are_born_unstable_at_the_step_and_held_at_their_first_values(generator):

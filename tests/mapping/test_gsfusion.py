@@ -1,5 +1,6 @@
 import dataclasses
 
+import pytest
 import torch
 
 from gsfusion_nb.config import replace
@@ -99,3 +100,9 @@ def test_a_depth_loss_brings_the_rendered_depth_closer(split, config):
         views = [(mapper.render(f.camera, f.T_WC).depth_m, f.depth_m) for f in split.mapping]
         errors.append(sum(float(depth_l1(seen, measured)) for seen, measured in views))
     assert errors[1] < 0.8 * errors[0]
+
+
+def test_a_rule_for_keyframes_needs_keyframes_that_do_not_depend_on_its_seeds(config):
+    assert GSFusion(replace(config, keyframe_every=5), seeding="monogs").rule_in_use.when.only_keyframes
+    with pytest.raises(ValueError, match=r"'monogs' is asked in keyframes only, .* set keyframe_every, such as 5"):
+        GSFusion(replace(config, keyframe_every=0), seeding="monogs")

@@ -15,6 +15,7 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
 from gsfusion_nb.seeding.image_features import halved
+from gsfusion_nb.seeding.sampling import sized_by_neighbours
 from gsfusion_nb.tsdf import RaycastOutput
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -167,6 +168,36 @@ def test_gaussian_slam_starts_a_submap_with_random_pixels_gradients_and_edges():
     step = (column == W // 2 - 1) | (column == W // 2)  # where central differences see it
     assert (chosen & step).sum() == 2 * H
     assert not (chosen & ((column < W // 2 - 2) | (column > W // 2 + 1))).any()
+
+
+@pytest.mark.parametrize(("preset", "least_m"), [("replica", 1e-7**0.5), ("tum", 0.01), ("scannetpp", 1e-4)])
+def test_gaussian_slam_rejects_points_close_to_the_map(preset, least_m):
+    """In the middle row the map has Gaussians a little nearer than the least distance to 8 of the points, and a little
+    farther than it to 8 others."""
+    everywhere = apply_rule("gaussian_slam", first(), {"preset": preset})
+    middle = W * (H // 2) + W // 2
+    near, far = slice(middle - 20, middle - 12), slice(middle + 8, middle + 16)
+    aside = torch.tensor([0.0, least_m, 0.0])
+    places = torch.cat([everywhere.xyz_W[near] + 0.99 * aside, everywhere.xyz_W[far] + 1.01 * aside])
+    ctx = staged(alpha=0.0, depth_m=0.0, xyz_W=places)
+    seeds = apply_rule("gaussian_slam", ctx, {"preset": preset, "restart": False})
+    rejected = torch.cdist(everywhere.xyz_W.double(), seeds.xyz_W.double()).amin(dim=1) > 1e-6
+    assert rejected[near].all()
+    assert not rejected[far].any()
+
+
+def test_sizes_by_neighbours_are_capped_at_a_multiple_of_their_mean():
+    """Four points in a row, 1 cm apart, and one 1 m away: with the root mean square distances to the 3 nearest."""
+    x = torch.tensor([0.0, 0.01, 0.02, 0.03, 1.03])
+    points = torch.stack([x, torch.zeros(5), torch.ones(5)], dim=1)
+    seeds = Seeds.isotropic(points, torch.full((5, 3), 0.5), torch.ones(5))
+    end, inner = (14e-4 / 3) ** 0.5, (6e-4 / 3) ** 0.5  # 1, 2, 3 cm and 1, 1, 2 cm
+    alone = ((1.01**2 + 1.02**2 + 1) / 3) ** 0.5
+    size = torch.tensor([end, inner, inner, end, alone])
+    torch.testing.assert_close(sized_by_neighbours(first(), seeds).scale_m, size[:, None].expand(-1, 3))
+    capped = sized_by_neighbours(first(), seeds, factor=2.0, max_of_mean=1.5)
+    torch.testing.assert_close(capped.scale_m[:, 1], 2 * size.clamp(max=1.5 * float(size.mean())))
+    assert float(capped.scale_m[4, 0]) < 0.4 * 2 * alone
 
 
 def test_photo_slam_takes_every_corner_with_depth():

@@ -6,7 +6,7 @@ import math
 import pytest
 import torch
 
-from gsfusion_nb.gaussians import STABLE, SurfelModel
+from gsfusion_nb.gaussians import STABLE, UNSTABLE, SurfelModel
 from gsfusion_nb.geometry import project, quaternion, se3
 from gsfusion_nb.render import SurfaceView
 from gsfusion_nb.seeding import SeedContext, apply_rule, check_contexts
@@ -192,6 +192,20 @@ def test_code_near_the_plane_of_a_stable_disc_is_transparent():
         assert pytest.approx(opacity) in seen
         if opacity == 0.99:
             assert len(seen) == 1
+
+
+@pytest.mark.parametrize("stable", [False, True])
+def test_code_adds_nothing_within_six_tenths_of_a_radius_of_an_unstable_disc(stable):
+    """A faint disc of radius 0.3 m in the wall lets through enough light for every pixel to be new. Most of its pixels
+    have other pixels for their three nearest neighbours, so no gap forbids them: only the disc's own state does."""
+    model = SurfelModel(sh_degree=0)
+    disc = Seeds.isotropic(torch.tensor([[0.0, 0.0, 2.0]]), torch.full((1, 3), 0.5), torch.ones(1), opacity=0.3)
+    model.append(dataclasses.replace(disc, scale_m=torch.tensor([[0.3, 0.3, 0.001]])))
+    model.state.fill_(STABLE if stable else UNSTABLE)
+    seeds = apply_rule("rtg_slam", context(model), {"share": 1.0, "fidelity": "code"})
+    distance = (seeds.xyz_W - torch.tensor([0.0, 0.0, 2.0])).norm(dim=1)
+    assert (distance > 0.181).sum() > 500
+    assert (distance < 0.179).any() == stable
 
 
 def test_by_hand_with_an_existing_disc():

@@ -14,7 +14,7 @@ from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule, check_contexts
 from gsfusion_nb.seeding.sampling import cells_without_depth, depth_from_sides
 from gsfusion_nb.tsdf import TsdfVolume, integrate
-from gsfusion_nb.types import Camera, Frame
+from gsfusion_nb.types import Camera, Frame, RenderOutput
 
 
 @pytest.fixture
@@ -241,3 +241,43 @@ def test_cells_in_the_hole_get_a_gaussian_at_the_depth_around_it(small_walk):
     assert ((xyz_C[:, 2] / small_walk[0].depth_m[j, i]).log().abs() < 0.5).all()
     torch.testing.assert_close(seeds.rgb, frame.rgb[j, i])
     assert (seeds.scale_m[:, 0] * frame.camera.fx / xyz_C[:, 2] > 1.9).all()  # no cell narrower than 3 pixels
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Shown(SeedContext):
+    """A context whose map covers the picture by this much."""
+
+    alpha: torch.Tensor
+
+    def render(self) -> RenderOutput:
+        zero = torch.zeros_like(self.alpha)
+        return RenderOutput(
+            rgb=zero[..., None].expand(-1, -1, 3), depth_m=zero, alpha=self.alpha, first_index=None, dominant_index=None
+        )
+
+
+@pytest.mark.parametrize(("covered", "seeded"), [(0.0, True), (0.49, True), (0.5, False), (1.0, False)])
+def test_cells_in_the_hole_that_the_map_shows_already_get_none(small_walk, covered, seeded):
+    """The right half of the picture is covered by so much, the left half not at all; from 0.5 on a pixel is shown."""
+    frame = holed(small_walk[0])
+    model = GaussianModel(sh_degree=0)
+    behind = torch.tensor([[0.0, 0.0, -5.0]])
+    model.append(Seeds.isotropic(behind, torch.full_like(behind, 0.5), torch.tensor([0.02])))
+    alpha = torch.zeros_like(frame.depth_m)
+    alpha[:, 40:] = covered
+    ctx = Shown(frame, gaussians=model, config=FINE, alpha=alpha)
+    u_all = columns(ctx, cells_without_depth(SeedContext(frame, config=FINE)))
+    u = columns(ctx, cells_without_depth(ctx))
+    assert (u_all > 41).sum() > 5
+    assert torch.equal(u, u_all if seeded else u_all[u_all < 39.9])
+
+
+def columns(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
+    """Where in the picture the seeds are, from the left, pixels."""
+    return project(ctx.camera, xyz_C(ctx, seeds))[:, 0]
+
+
+@pytest.mark.parametrize("fraction", [0.0, -0.1, 1.01, float("nan")])
+def test_uniform_refuses_what_is_no_share(fraction):
+    with pytest.raises(ValueError, match=f"uniform: fraction must be above 0 and at most 1, got {fraction}"):
+        apply_rule("uniform", check_contexts()["new"], {"fraction": fraction})
