@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -59,7 +60,7 @@ def commit(folder):
 def test_pages_are_filled_from_the_file(project):
     assert [p.name for p in measured.fill(project, write=True)] == ["README.md", "a.md"]
     page = (project / "docs/a.md").read_text()
-    assert "| one | 20.2 | 1.00 |\n| both | 21.0 ± 1.4 | 2.00 ± 0.00 |\n<!-- end -->" in page
+    assert "| one | 20.2 | 1.00 |\n| both | 21.0 ± 1.4 | 2.00 ± 0.00 |\n\nMeasured on 2026-01-01 with commit `" in page
     assert "```\ngsfusion-nb map wall\n```\n" in page  # of one seed
     assert "Best: <!-- text: walls best -->22.00 dB<!-- end -->." in (project / "README.md").read_text()
     assert measured.fill(project, write=False) == []
@@ -80,6 +81,76 @@ def test_a_table_is_old_when_what_it_depends_on_has_changed(project):
     assert old() == ["walls"]
     (project / "docs/measured/walls.json").unlink()
     assert old() == ["walls"]
+
+
+def with_commit(project, commit):
+    """The table of the project, as if it had been measured with this commit."""
+    path = project / "docs/measured/walls.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"commit": commit}))
+
+
+def of_another_branch(project):
+    """A commit that is in the repository and not in the history of HEAD."""
+    here = measured.git("rev-parse", "HEAD", root=project).strip()
+    (project / "other.py").write_text("1\n")
+    commit(project)
+    there = measured.git("rev-parse", "HEAD", root=project).strip()
+    subprocess.run(["git", "reset", "-q", "--hard", here], cwd=project, check=True)
+    return there
+
+
+@pytest.mark.parametrize("where", ["nowhere", "on another branch"])
+def test_a_commit_that_is_not_in_the_history_makes_a_table_old_and_the_page_says_so(project, capsys, where):
+    """Before, git failed for it, and its empty answer was taken for no change since."""
+    commit(project)
+    there = "a66beb8cb3ce08b6413ca0dbbe0ee3f4c4a3de24" if where == "nowhere" else of_another_branch(project)
+    with_commit(project, there)
+    assert measured.list_old(measured.read_recipes(project), project) == ["walls"]
+    assert f"its commit is not in this repository: {there[:8]} of 2026-01-01" in capsys.readouterr().out
+    assert measured.note_commits(project) == ["walls"]
+    assert measured.note_commits(project) == []
+    measured.fill(project, write=True)
+    page = (project / "docs/a.md").read_text()
+    assert f"**These are not today's numbers.** They were measured on 2026-01-01 with commit `{there[:8]}`" in page
+    assert 'make measured RENEW="walls"' in page
+    with_commit(project, measured.git("rev-parse", "HEAD", root=project).strip())
+    assert measured.note_commits(project) == ["walls"]
+    measured.fill(project, write=True)
+    assert "not today's" not in (project / "docs/a.md").read_text()
+
+
+def test_without_the_whole_history_nothing_is_said_to_be_current(project, tmp_path_factory):
+    recipes = measured.read_recipes(project)
+    cut = tmp_path_factory.mktemp("cut") / "clone"
+    (project / "other.py").write_text("1\n")
+    commit(project)
+    subprocess.run(["git", "clone", "-q", "--depth", "1", project.as_uri(), str(cut)], check=True)
+    with pytest.raises(measured.MeasuredError, match="history of this checkout is cut"):
+        measured.list_old(recipes, cut)
+    shutil.rmtree(project / ".git")
+    with pytest.raises(measured.MeasuredError, match="is not a git checkout, so which tables are old cannot be known"):
+        measured.list_old(recipes, project)
+
+
+def test_a_failure_of_git_is_no_empty_answer(project):
+    with pytest.raises(measured.MeasuredError, match=r"git log nothing\.\.HEAD failed"):
+        measured.git("log", "nothing..HEAD", root=project)
+
+
+def test_folders_of_the_machine_are_left_out(tmp_path):
+    found = {
+        "data": "/home/me/my data/redkitchen250",
+        "files": ["C:\\data\\kitchen", "~/data/desk/"],
+        "reason": "ValueError: /home/me/data/desk/rgb.txt is missing",
+        "cells": ["28.1 / 0.9 / 3", "held out, 1 / 6", "frames/s", "docs/measured/track_only.py", "https://a.b/c/d"],
+        "psnr_db": 20.5,
+    }
+    measured.write_numbers(tmp_path / "walls.json", found)
+    assert json.loads((tmp_path / "walls.json").read_text()) == found | {
+        "data": "redkitchen250",
+        "files": ["kitchen", "desk"],
+        "reason": "ValueError: rgb.txt is missing",
+    }
 
 
 @pytest.mark.parametrize(
@@ -146,4 +217,15 @@ def test_a_file_of_numbers_has_a_recipe_and_whole_rows(name):
     assert name in RECIPES
     numbers = measured.read_numbers(name)
     assert {"commit", "date", "machine", "commands"} <= set(numbers)
+    assert measured.without_folders(numbers) == numbers
     assert all(len(row) == len(numbers["columns"]) for row in numbers["rows"])
+
+
+def test_each_file_of_numbers_says_whether_its_commit_is_in_the_history():
+    try:
+        measured.check_history()
+    except measured.MeasuredError as error:
+        pytest.skip(str(error))
+    numbers = {path.stem: measured.read_numbers(path.stem) for path in (ROOT / measured.MEASURED).glob("*.json")}
+    wrong = [n for n, of in numbers.items() if measured.is_in_history(of["commit"]) != of.get("commit_here", True)]
+    assert wrong == [], "run: python tools/measured.py --fill"

@@ -1,6 +1,6 @@
 """Numbers in the docs: measured by commands, kept in ``docs/measured/*.json``, filled into the pages from there.
 
-    python tools/measured.py                  # list the tables that are older than what they depend on
+    python tools/measured.py                  # list the tables that are older than what they depend on; needs git
     python tools/measured.py --renew NAME     # run a table's commands, write its JSON file, fill the pages
     python tools/measured.py --fill           # fill the pages from the JSON files
 
@@ -20,13 +20,16 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = "docs/measured"
+COMMIT_HERE = "commit_here"
+"""Key of a file of numbers: whether its commit is in the history of this repository; absent means that it is."""
 KEYS = {"about", "depends", "columns", "rows", "runs", "cells", "texts", "minutes", "quiet"}
 MARKER = re.compile(r"(?<!`)<!-- (table|commands|text): ([\w-]+)(?: ([\w-]+))? -->(.*?)<!-- end -->", re.DOTALL)
+ABSOLUTE_PATH = re.compile(r"(?<![\w.~:/\\])(?:~|[A-Za-z]:)?(?:[/\\][^/\\\s\"']+){2,}[/\\]?")
 NUMBER = re.compile(r"-?\d+(\.\d*)?(e[-+]?\d+)?")
 Record = dict[str, Any]
 
@@ -68,9 +71,21 @@ def filled(page: str, numbers: Callable[[str], Mapping[str, Any]]) -> str:
         if kind == "table":
             rows = [found["columns"], ["---"] + ["---:"] * (len(found["columns"]) - 1), *found["rows"]]
             lines = [re.sub(" +", " ", f"| {' | '.join(row)} |") for row in rows]
+            lines += ["", origin(name, found)]
         return "\n".join([f"<!-- {kind}: {name} -->", *lines, "<!-- end -->"])
 
     return MARKER.sub(place, page)
+
+
+def origin(name: str, numbers: Mapping[str, Any]) -> str:
+    """The sentence under a table: when it was measured, and with which commit."""
+    commit = numbers["commit"][:8]
+    if numbers.get(COMMIT_HERE, True):
+        return f"Measured on {numbers['date']} with commit `{commit}`."
+    return (
+        f"**These are not today's numbers.** They were measured on {numbers['date']} with commit `{commit}`, which is "
+        f'not in this repository. Measure again with `make measured RENEW="{name}"`.'
+    )
 
 
 def of_one_seed(commands: Iterable[str]) -> list[str]:
@@ -103,22 +118,78 @@ def fill(root: Path = ROOT, *, write: bool) -> list[Path]:
 
 
 def git(*arguments: str, root: Path = ROOT) -> str:
-    """The output of git; empty if it fails, such as for a commit that is not here."""
-    done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True)
-    return done.stdout if done.returncode == 0 else ""
+    """The output of git.
+
+    Raises:
+        MeasuredError: git is not there, or failed; an empty answer is never taken for a failure, nor the other way.
+    """
+    try:
+        done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True)
+    except FileNotFoundError:
+        raise MeasuredError("git is not installed, so the age of the tables cannot be known") from None
+    if done.returncode != 0:
+        raise MeasuredError(f"git {' '.join(arguments)} failed in {root}: {done.stderr.strip()}")
+    return done.stdout
+
+
+def check_history(root: Path = ROOT) -> None:
+    """Check that the whole history is here, by which commits are told from unknown ones.
+
+    Raises:
+        MeasuredError: no git checkout, or one whose history was cut.
+    """
+    inside = subprocess.run(["git", "rev-parse", "--show-toplevel"], cwd=root, capture_output=True, text=True)
+    if inside.returncode != 0 or Path(inside.stdout.strip()).resolve() != root.resolve():
+        raise MeasuredError(f"{root} is not a git checkout, so which tables are old cannot be known here")
+    if git("rev-parse", "--is-shallow-repository", root=root).strip() == "true":
+        raise MeasuredError(
+            "the history of this checkout is cut, so the age of the tables cannot be known: run git fetch --unshallow"
+        )
+
+
+def is_in_history(commit: str, root: Path = ROOT) -> bool:
+    """Whether a commit is HEAD or an ancestor of it. One of another branch, or that is gone, is not."""
+    call = ["git", "merge-base", "--is-ancestor", commit, "HEAD"]
+    return subprocess.run(call, cwd=root, capture_output=True).returncode == 0
+
+
+def reason_of_age(name: str, recipe: Mapping[str, Any], root: Path = ROOT) -> str:
+    """Why a table is older than what it depends on; empty if it is not."""
+    if not (root / MEASURED / f"{name}.json").is_file():
+        return "never measured"
+    numbers = read_numbers(name, root)
+    if not is_in_history(numbers["commit"], root):
+        return f"its commit is not in this repository: {numbers['commit'][:8]} of {numbers['date']}"
+    if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
+        return "the recipe has changed"
+    since = git("log", "--oneline", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root)
+    return f"{len(since.splitlines())} commits since {numbers['date']}" if since else ""
+
+
+def note_commits(root: Path = ROOT) -> list[str]:
+    """Write into each file of numbers whether its commit is in the history; returns the names of those that changed."""
+    check_history(root)
+    changed = []
+    for path in sorted((root / MEASURED).glob("*.json")):
+        numbers = json.loads(path.read_text(encoding="utf-8"))
+        here = is_in_history(numbers["commit"], root)
+        if numbers.get(COMMIT_HERE, True) != here:
+            changed.append(path.stem)
+            numbers.pop(COMMIT_HERE, None)
+            write_numbers(path, numbers if here else numbers | {COMMIT_HERE: False})
+    return changed
 
 
 def list_old(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> list[str]:
-    """Print the tables whose recipe, or files that it depends on, have changed since; returns their names."""
+    """Print the tables whose recipe, or files that it depends on, have changed since; returns their names.
+
+    Raises:
+        MeasuredError: this cannot be known here.
+    """
+    check_history(root)
     old = []
     for name, recipe in recipes.items():
-        why = "never measured"
-        if (root / MEASURED / f"{name}.json").is_file():
-            numbers = read_numbers(name, root)
-            since = git("log", "--oneline", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root)
-            why = f"{len(since.splitlines())} commits since {numbers['date']}" if since else ""
-            if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
-                why = "the recipe has changed"
+        why = reason_of_age(name, recipe, root)
         if why:
             old.append(name)
             quiet = ", without other load" if recipe.get("quiet") else ""
@@ -268,8 +339,26 @@ def renew(name: str, recipe: Mapping[str, Any], recordings: Path, done: dict[str
         run: [{k: v for k, v in r.items() if isinstance(v, kept) and v != "" and "setting." not in k} for r in records]
         for run, records in values.items()
     }
-    text = json.dumps(numbers, indent=1, ensure_ascii=False) + "\n"
-    (ROOT / MEASURED / f"{name}.json").write_text(text, encoding="utf-8")
+    write_numbers(ROOT / MEASURED / f"{name}.json", numbers)
+
+
+def write_numbers(path: Path, numbers: Mapping[str, Any]) -> None:
+    """Write a file of numbers. Folders of the machine that measured are left out: of a path its last name is kept."""
+    text = json.dumps(without_folders(numbers), indent=1, ensure_ascii=False) + "\n"
+    path.write_text(text, encoding="utf-8")
+
+
+def without_folders(value: Any) -> Any:
+    """``value`` with the last name of each absolute path in it: of the folder of a recording, the recording's name."""
+    if isinstance(value, Mapping):
+        return {key: without_folders(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [without_folders(inner) for inner in value]
+    if not isinstance(value, str):
+        return value
+    if PurePosixPath(value).is_absolute() or PureWindowsPath(value).is_absolute():  # there may be spaces in it
+        return PureWindowsPath(value).name
+    return ABSOLUTE_PATH.sub(lambda match: PureWindowsPath(match[0]).name, value)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -281,22 +370,28 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--fill", action="store_true", help="fill the pages from the files of numbers")
     options = parser.parse_args(arguments)
     recipes = read_recipes()
-    if not options.renew and not options.fill:
-        list_old(recipes)
-        return 0
     done: dict[str, list[Record]] = {}
     try:
+        if not options.renew and not options.fill:
+            list_old(recipes)
+            return 0
         if options.read:
             line = recipes[options.renew[0]]["commands"][0]
             done[line] = records_of(line, options.recordings, options.read)
-        for name in options.renew:
-            renew(name, recipes[name], options.recordings.resolve(), done)
+        try:
+            for name in options.renew:
+                renew(name, recipes[name], options.recordings.resolve(), done)
+        finally:
+            try:
+                for name in note_commits():
+                    print(f"{name}: whether its commit is in this repository is noted in its file now")
+            except MeasuredError as error:  # the pages are filled all the same
+                print(error, file=sys.stderr)
+            for page in fill(write=True):
+                print(f"filled {page.relative_to(ROOT)}")
     except (MeasuredError, OSError) as error:
         print(error, file=sys.stderr)
         return 1
-    finally:
-        for page in fill(write=True):
-            print(f"filled {page.relative_to(ROOT)}")
     return 0
 
 
