@@ -112,7 +112,7 @@ class StudyOptions(RecordingOptions):
     frames per second against its PSNR), colours (weights of the TSDF's colours, without Gaussians), roofline (kernels
     and the limits of this machine), or an ablation of GSFusion's paper, beside its numbers: table-iv (voxel size),
     table-v (quadtree threshold), table-vi (global optimisation), table-vii (random keyframes), table-viii (keyframe
-    threshold)."""
+    threshold). These run with the settings of the paper (fidelity "paper"), of which one is changed as it does."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     only: str = ""
@@ -148,7 +148,7 @@ def study(options: StudyOptions) -> int:
     asked = STUDIES[name]
     with use_backend(options.backend):
         specs = study_specs(name, options, options.data, options.only)
-        print(f"{asked.question}, on {options.data}")
+        print(f"{asked.question}, on {options.data}\n{ran_under(specs)}")
         status, results = run_and_write(specs, folder, options)
         if asked.paper:
             print(beside_paper(asked, results))
@@ -219,6 +219,26 @@ def recording_specs(
     return [dataclasses.replace(spec, seed=seed) for spec in specs for seed in range(options.seeds)]
 
 
+def ran_under(specs: Sequence[RunSpec]) -> str:
+    """What all runs have in common, in a sentence: system, preset, fidelity, settings, options of rule and reader.
+
+    Args:
+        specs: At least one run.
+    """
+    first, *others = map(_values_of, specs)
+    shared = {name: value for name, value in first.items() if all((name, value) in o.items() for o in others)}
+    return f"All runs have {', '.join(f'{name} {value}' for name, value in shared.items())}."
+
+
+def _values_of(spec: RunSpec) -> dict[str, Any]:
+    """Everything that a run sets, by name; a setting that nobody named is that of the preset and the fidelity."""
+    fidelity = spec.fidelity or next(iter(get_system(spec.system).fidelities), "")
+    names = {"system": spec.system, "preset": spec.preset} | ({"fidelity": fidelity} if fidelity else {})
+    options = {f"{OPTION}{name}": value for name, value in spec.options.items()}
+    reader = {f"reader {name}": value for name, value in spec.reader.items()}
+    return names | dict(spec.settings) | options | reader
+
+
 def spec_with(values: Values, label: str, **fields: Any) -> RunSpec:
     """A run with some values set; its rule and the options of the rule are those of its system otherwise.
 
@@ -260,11 +280,12 @@ def parse_axis(text: str) -> tuple[str, list[Any]]:
 def beside_paper(asked: Study, results: Sequence[RunResult]) -> str:
     """Our numbers, means over the seeds, with the paper's in brackets."""
     groups = {g.label: g for g in group_runs(results)}
+    under = ran_under([result.spec for result in results]) if results else ""
     rows = {label: groups[label] for label in asked.variants if label in groups and groups[label].runs}
     ours = {label: _in_the_papers_columns(group, asked.views) for label, group in rows.items()}
     assert asked.paper is not None
     text = f"{PaperComparison(asked.paper.number, ours)!r}\n(in brackets: the paper's numbers)"
-    return "\n".join(filter(None, (asked.question, text, asked.about)))
+    return "\n".join(filter(None, (asked.question, text, under, asked.about)))
 
 
 def _in_the_papers_columns(group: Group, views: str) -> dict[str, float]:

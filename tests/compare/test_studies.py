@@ -13,10 +13,11 @@ from gsfusion_nb.compare.studies import (
     SweepOptions,
     beside_paper,
     parse_axis,
+    ran_under,
     study_specs,
     sweep_specs,
 )
-from gsfusion_nb.config import to_dict
+from gsfusion_nb.config import gsfusion, to_dict
 
 FAST = (
     "data.hold_out_every=4", "data.hold_out_offset=2", "sh_degree=0", "optim.keyframe_iterations=1",
@@ -118,6 +119,51 @@ def test_our_numbers_stand_beside_the_papers(scene, name):
         "table-vii": "23.00 (28.64)", "table-viii": "23.00 (35.44)",
     }[name]  # fmt: skip
     assert expected in text
+    assert "All runs have system gsfusion, preset replica, fidelity paper" in text
+
+
+ONLINE = {"optim__global_iterations": 0}
+PAPERS_CHANGES = {
+    "table-iv": ("scannetpp", {"1 cm": {"tsdf__voxel_size_m": 0.01}, "5 cm": {"tsdf__voxel_size_m": 0.05}}),
+    "table-v": ("scannetpp", {text: {"seeding__quadtree_threshold": float(text)} for text in ("0.01", "0.1")}),
+    "table-vi": ("scannetpp", {str(n): {"optim__global_iterations": n} for n in (0, 10, 20)}),
+    "table-vii": ("replica", {
+        "without": {"optim__frame_iterations": 5, "optim__random_keyframe_iterations": 0} | ONLINE,
+        "with": {"optim__frame_iterations": 3, "optim__random_keyframe_iterations": 2} | ONLINE,
+    }),
+    "table-viii": ("replica", {str(n): {"keyframe_min_seeds": n} for n in (40, 50, 90)}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PAPERS_CHANGES)
+def test_an_ablation_runs_with_the_papers_settings_and_changes_one(scene, name):
+    """Wei & Leutenegger 2024, section IV-A.4: m 5, n 3 and 2 more on Replica; m 10, n 1 and 9 more, and every frame
+    kept, on ScanNet++, whose second trajectory every 8th view stands for here."""
+    preset, changes = PAPERS_CHANGES[name]
+    held_out = {"data__hold_out_every": 8} if preset == "scannetpp" else {}
+    specs = study_specs(name, StudyOptions(name=name), str(scene))
+    assert [spec.label for spec in specs] == list(changes)
+    for spec in specs:
+        expected = to_dict(gsfusion(preset, "paper", **held_out, **changes[spec.label]))
+        ours = to_dict(spec.config())
+        for config in (ours, expected):
+            config["seeding"].pop("own_settings")
+        assert ours == expected
+
+
+def test_what_a_study_ran_under_is_said(scene):
+    options = StudyOptions(name="table-vii", set=("data.stop=9", "rule.coverage=true"))
+    text = ran_under(study_specs("table-vii", options, str(scene)))
+    assert text == (
+        "All runs have system gsfusion, preset replica, fidelity paper, optim.global_iterations 0, data.stop 9, "
+        "rule.coverage True."
+    )
+    text = ran_under(
+        study_specs("fidelity", StudyOptions(name="fidelity", reader=("n_frames=20",)), "room", "GSFusion")
+    )
+    assert text == "All runs have system gsfusion, preset room, data.hold_out_every 8, reader n_frames 20."
+    text = ran_under(study_specs("gsfusion-settings", StudyOptions(name="gsfusion-settings"), str(scene)))
+    assert text == "All runs have system gsfusion, preset replica, fidelity measured."
 
 
 def test_the_papers_tables_and_ours_beside_them():
