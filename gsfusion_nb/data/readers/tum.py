@@ -152,7 +152,9 @@ def _stream(path: Path) -> tuple[list[float], list[Path]]:
 
 def _with_poses(path: Path, frames: list[tuple[float, int, int]]) -> list[tuple[float, int, int, Float[Tensor, " 7"]]]:
     """Frames whose time has a ground-truth pose, with that pose. Rows with NaN or infinities count as no pose."""
-    table, _ = checked_rows(read_rows(path, 8, "timestamp tx ty tz qx qy qz qw"), path)
+    table, notes = checked_rows(read_rows(path, 8, "timestamp tx ty tz qx qy qz qw"), path)
+    for note in notes:
+        log.warning("%s", note)
     stamps, rows = table[:, 0].contiguous(), table[:, 1:]
     found = ((t, d, c, interpolate_rows(stamps, rows, t, max_gap_s=MAX_POSE_GAP_S)) for t, d, c in frames)
     return [(t, d, c, row) for t, d, c, row in found if row is not None]

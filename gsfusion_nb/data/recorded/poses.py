@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ...checks import check_pose
@@ -17,6 +17,9 @@ GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """T GL_TO_CV is a camera-to-world pose in OpenCV axes, where T has OpenGL's (y up, z backward)."""
 MAX_RIGIDITY_ERROR = 1e-3
 """Largest entry of R R^T - I that still counts as a rotation: poses printed with 4 decimals pass."""
+REPEATED_POSE_M = 0.02
+REPEATED_POSE_DEG = 2.0
+"""Two poses at one time that differ by no more are measurements of one pose, as in TUM's freiburg2_desk (1.2 mm)."""
 
 
 def read_rows(path: Path, columns: int, what: str) -> Float[Tensor, "N C"]:
@@ -78,9 +81,11 @@ def checked_rows(
 ) -> tuple[Float[Tensor, "M 8"], list[str]]:
     """Rows ``t tx ty tz qx qy qz qw`` in order of time, each time once, and sentences on what was left out.
 
+    Where several rows have one time, the first counts: published trajectories hold such rows.
+
     Raises:
-        SequenceError: a quaternion whose length is not 1 within 1e-2, two different poses at one time, or, if they must
-            be ``ordered``, times that go back.
+        SequenceError: a quaternion whose length is not 1 within 1e-2, two poses at one time that are farther apart than
+            ``REPEATED_POSE_M`` or ``REPEATED_POSE_DEG``, or, if they must be ``ordered``, times that go back.
     """
     finite = torch.isfinite(table).all(dim=1)
     lost = int((~finite).sum())
@@ -102,15 +107,38 @@ def checked_rows(
             "columns t tx ty tz qx qy qz qw"
         )
     table = table[table[:, 0].argsort(stable=True)]
-    again = table[1:, 0] == table[:-1, 0]
-    differs = again & (table[1:] != table[:-1]).any(dim=1)
-    if bool(differs.any()):
-        t = float(table[1:, 0][differs][0])
-        raise SequenceError(f"{path} has two different poses at the time {t:.16g}; expected every time once")
-    if bool(again.any()):
-        t = float(table[1:, 0][again][0])
-        notes.append(f"{path}: {int(again.sum())} rows repeat the one before, the first at the time {t:.16g}")
-    return (table[torch.cat([~again.new_zeros(1), ~again])] if len(table) else table), notes
+    repeats = table[1:, 0] == table[:-1, 0]
+    if bool(repeats.any()):
+        notes.append(_note_on_repeats(table, repeats, path))
+    first_of_its_time = torch.cat([torch.ones(1, dtype=torch.bool), ~repeats])
+    return (table[first_of_its_time] if len(table) else table), notes
+
+
+def _note_on_repeats(table: Float[Tensor, "N 8"], repeats: Bool[Tensor, " M"], path: Path) -> str:
+    """A sentence on the rows that have the time of the row before.
+
+    Raises:
+        SequenceError: two poses at one time that cannot be measurements of one.
+    """
+    earlier = table[:-1][repeats]
+    later = table[1:][repeats]
+    moved_m = (later[:, 1:4] - earlier[:, 1:4]).norm(dim=1)
+    same_turn = (later[:, 4:] * earlier[:, 4:]).sum(dim=1).abs().clamp(max=1.0)
+    turned_deg = torch.rad2deg(2 * torch.acos(same_turn))
+    apart = (moved_m > REPEATED_POSE_M) | (turned_deg > REPEATED_POSE_DEG)
+    if bool(apart.any()):
+        i = int(apart.nonzero()[0])
+        raise SequenceError(
+            f"{path} has two poses at the time {float(earlier[i, 0]):.16g}, {float(moved_m[i]):.3g} m and "
+            f"{float(turned_deg[i]):.3g} degrees apart; expected one at each time: split the file if it holds several "
+            "trajectories"
+        )
+    rows = f"{len(earlier)} rows have" if len(earlier) > 1 else "1 row has"
+    note = f"{path}: {rows} the time of another row, the first at {float(earlier[0, 0]):.16g}"
+    if bool((earlier != later).any()):
+        largest = f"{1000 * float(moved_m.max()):.2g} mm and {float(turned_deg.max()):.2g} degrees"
+        note += f"; their poses differ by at most {largest}, and the first of each time is taken"
+    return note
 
 
 def matrices(rows: Float[Tensor, "N 7"]) -> Float[Tensor, "N 4 4"]:

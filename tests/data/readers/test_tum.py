@@ -159,6 +159,26 @@ def test_gaps_in_the_trajectory(tmp_path, box):
     assert torch.allclose(tum(root, camera=box.camera).pose(0).double(), box.pose_at(0.112), atol=2e-4)
 
 
+def test_two_measurements_of_one_pose(tmp_path, box, caplog):
+    """The published ground truth of freiburg2_desk has two rows of one time, 1.2 mm apart: the first counts."""
+    root = write(tmp_path / "scan", box)
+    same = tum(root, camera=box.camera)
+    file = root / "groundtruth.txt"
+    lines = file.read_text().splitlines()
+    time, x, *rest = lines[12].split()
+    lines.insert(13, " ".join([time, f"{float(x) + 0.0012:.9f}", *rest]))
+    file.write_text("\n".join(lines))
+    with caplog.at_level(logging.WARNING):
+        again = tum(root, camera=box.camera)
+    assert torch.equal(again.poses, same.poses)
+    assert "1 row has the time of another row" in caplog.text
+    assert "1.2 mm" in caplog.text
+    lines[13] = " ".join([time, f"{float(x) + 0.5:.9f}", *rest])
+    file.write_text("\n".join(lines))
+    with pytest.raises(SequenceError, match=r"two poses at the time .*, 0\.5 m and 0 degrees apart"):
+        tum(root, camera=box.camera)
+
+
 def test_interpolation_by_hand():
     half = np.sqrt(0.5)
     rows = torch.tensor([[0.0, 0, 0, 0, 0, 0, 1], [2, 4, 6, 0, 0, half, half]], dtype=torch.float64)
