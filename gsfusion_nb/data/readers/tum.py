@@ -137,7 +137,7 @@ def benchmark_camera(folder: Path) -> str:
 
 def _stream(path: Path) -> tuple[list[float], list[Path]]:
     """Times and files of a list with lines "timestamp filename"; those of a copy with only some of the images."""
-    listed = [(t, file) for t, file in zip(*read_image_list(path), strict=True) if is_file(file)]
+    listed = [(t, file) for ((t, file),) in read_image_list(path) if is_file(file)]
     if not listed:
         raise SequenceNotFoundError(f"{path} names no image that is there; expected the images beside it")
     stamps, files = [t for t, _ in listed], [file for _, file in listed]

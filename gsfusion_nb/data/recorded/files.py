@@ -3,6 +3,7 @@
 import math
 import os
 import re
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -68,8 +69,11 @@ def pair_by_stem(rgb_files: list[Path], depth_files: list[Path]) -> list[Path]:
     return [depth_of[p.stem] for p in rgb_files]
 
 
-def natural_order(path: Path) -> list[tuple[int, int | str]]:
-    """Sorting key of a file's name: 2 before 10."""
+def natural_order(path: Path) -> list[tuple[int, int | Decimal | str]]:
+    """Sorting key of a file's name: 2 before 10, and of names that end in a decimal number 7.03 before 7.1."""
+    decimal = re.fullmatch(r"(\D*)(\d+\.\d+)", path.stem)
+    if decimal is not None:
+        return [(1, decimal[1]), (0, Decimal(decimal[2]))] if decimal[1] else [(0, Decimal(decimal[2]))]
     parts = re.split(r"(\d+)", path.name)
     return [(0, int(part)) if part.isdigit() else (1, part) for part in parts if part]
 

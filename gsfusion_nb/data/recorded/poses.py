@@ -44,9 +44,13 @@ def read_rows(path: Path, columns: int, what: str) -> Float[Tensor, "N C"]:
 
 def read_words(path: Path, what: str) -> list[tuple[int, list[str]]]:
     """Line number and words of every line that is neither empty nor a ``#`` comment. At least one, or an error."""
-    text = read_text(path, what)
-    lines = [(n, line.replace(",", " ").split()) for n, line in enumerate(text.splitlines(), 1)]
-    lines = [(n, words) for n, words in lines if words and not words[0].startswith("#")]
+    return [(number, line.replace(",", " ").split()) for number, line in read_lines(path, what)]
+
+
+def read_lines(path: Path, what: str) -> list[tuple[int, str]]:
+    """Line number and text of every line that is neither empty nor a ``#`` comment. At least one, or an error."""
+    lines = [(number, line.strip()) for number, line in enumerate(read_text(path, what).splitlines(), 1)]
+    lines = [(number, line) for number, line in lines if line.strip(" ,") and not line.startswith("#")]
     if not lines:
         raise SequenceError(f"{path} is empty; expected {what}")
     return lines

@@ -3,6 +3,7 @@
 import bisect
 import itertools
 import math
+import re
 import statistics
 from collections import abc
 from dataclasses import dataclass
@@ -10,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ...checks import shown
+from ...files import is_file
 from ..sequence import SequenceError
-from .poses import image_key, read_words
+from .poses import image_key, read_lines, read_words
 
 TIMES = "times.txt"
 
@@ -48,23 +50,51 @@ def associate(first_s: list[float], second_s: list[float], *, max_difference_s: 
     return sorted(pairs.items(), key=lambda pair: first_s[pair[0]])
 
 
-def read_image_list(path: Path) -> tuple[list[float], list[Path]]:
-    """Numbers, finite but not yet judged to be times, and files of a list with lines "timestamp filename".
+_LISTED = r"""([-+]?[\d.]+(?:[eE][-+]?\d+)?)[\s,]+("[^"]+"|'[^']+'|\S.*?)"""
+"""A number, and the name of a file, which may stand in quotes or hold spaces."""
+
+
+def read_image_list(path: Path, *, per_line: int = 1) -> list[list[tuple[float, Path]]]:
+    """Number and file of each image of a list, which may have several images in a line: "timestamp filename".
+
+    The numbers are finite, but not yet judged to be times. A name may hold spaces or stand in quotes, and its folders
+    may be separated by backslashes, as Windows writes them.
+
+    Args:
+        path: The list; names are relative to its folder.
+        per_line: Number of images in a line, 2 for associations.
 
     Raises:
         SequenceError: another line; names the file and the line.
     """
-    numbers, files = [], []
-    for number, words in read_words(path, "lines 'timestamp filename'"):
-        try:
-            value, image = float(words[0]), path.parent / words[1]
-        except (ValueError, IndexError):
-            value, image = math.nan, path
-        if not math.isfinite(value):
-            raise SequenceError(f"{path} line {number} must be 'timestamp filename', got {shown(' '.join(words))}")
-        numbers.append(value)
-        files.append(image)
-    return numbers, files
+    what = " ".join(["timestamp filename"] * per_line)
+    pattern = re.compile(r"[\s,]+".join([_LISTED] * per_line))
+    rows = []
+    for line_number, line in read_lines(path, f"lines '{what}'"):
+        found = pattern.fullmatch(line)
+        if found is None:
+            raise SequenceError(f"{path} line {line_number} must be '{what}', got {shown(line)}")
+        numbers = [_finite(text) for text in found.groups()[::2]]
+        if None in numbers:
+            raise SequenceError(f"{path} line {line_number} must be '{what}', got {shown(line)}")
+        files = [_listed_file(path.parent, name) for name in found.groups()[1::2]]
+        rows.append(list(zip(numbers, files, strict=True)))
+    return rows
+
+
+def _finite(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _listed_file(folder: Path, name: str) -> Path:
+    """The file that a list names; of several ways to read the name the first that is there."""
+    name = name.strip().strip("\"'")
+    ways = (name, name.replace("\\", "/"), name.split()[0].replace("\\", "/"))
+    return next((folder / way for way in ways if is_file(folder / way)), folder / ways[1])
 
 
 def times_of_images(path: Path, images: list[Path]) -> tuple[list[tuple[float, float]] | None, str]:
@@ -94,19 +124,52 @@ def times_of_images(path: Path, images: list[Path]) -> tuple[list[tuple[float, f
     times = [time_of[image_key(image.stem)] for image in images]
     if not all(math.isfinite(t) for pair in times for t in pair):
         return None, f"{path.name} holds none"  # converted from a recording without times
+    _check_seconds([t for t, _ in times], path)
     return times, ""
 
 
-PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+LONGEST_STEP_S = 60.0
+"""Frames of a recording are nearer to each other in the median."""
+
+
+def _check_seconds(times: list[float], path: Path) -> None:
+    """Raise ``SequenceError`` for times that are not seconds; the message names the unit that they have."""
+    ordered = sorted(times)
+    unit = time_unit(ordered)
+    step = _median_step(ordered)
+    if unit == "s" or (not date_unit(ordered[-1]) and step <= LONGEST_STEP_S):
+        return
+    raise SequenceError(
+        f"{path} must hold seconds, but as seconds there would be one frame in {step:g} s; as {unit} it is one in "
+        f"{step / PER_SECOND[unit]:.3g} s: divide the times by {PER_SECOND[unit]:g}"
+    )
+
+
+PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "100ns": 1e7, "ns": 1e9}
+"""Units of times; "100ns" are the ticks of Windows and .NET."""
 LARGEST_STEP = {"s": 5.0, "ms": 5e3, "us": 5e5, "ns": float("inf")}
-"""A median step above this belongs to the next finer unit: 5 s, 5 s, and 0.5 s, since 5e5 ns are 2 kHz."""
+"""A median step above this belongs to the next finer unit: 5 s, 5 s, and 0.5 s, since 5e5 ns are 2 kHz. Ticks are known
+by their dates alone."""
+DATES = {
+    "s": (1e9, 1e10),
+    "ms": (1e12, 1e13),
+    "us": (1e15, 1e16),
+    "ns": (1e18, 1e19),
+    "100ns": (1.26e17, 1.6e17),
+}
+"""Numbers that are dates: from 2001 to 2286 since 1970, or, in ticks, from 2000 to 2107 since 1601."""
+NET_TICKS = (6.3e17, 6.7e17)
+"""Ticks since the year 1, from 1997 to 2124."""
 MOST_PER_SECOND = 1000.0
 """No depth camera takes more frames per second: numbers that are nearer to each other are not times."""
 _REPEATED = 0.1
 """Share of equal neighbours above which numbers are not times."""
-_COUNTER_BELOW, _COUNTER_STEP = 1e6, 20
+_COUNTER_BELOW = 1e6
+_COUNTER_STEP = 20
 """Whole numbers below the first with a constant step below the second count frames; a clock has larger numbers, and in
 milliseconds larger steps."""
+_LEAST_STEP_MS = 15.0
+"""Whole numbers of a clock in milliseconds have a larger median step: no more than 66 frames a second."""
 
 
 @dataclass(frozen=True)
@@ -120,9 +183,20 @@ class Stamps:
     unit: str = "s"
     unordered: int = 0
     """Numbers that are smaller than the one before, in a list that must be sorted by time."""
+    is_guess: bool = False
+    """They are whole and small enough to number frames, too."""
+    counts_frames: bool = False
+    """They are no times, but those of a counter."""
 
 
-def judge_stamps(numbers: abc.Sequence[float], *, names: abc.Sequence[Any] = (), unit: str = "auto") -> Stamps:
+def judge_stamps(
+    numbers: abc.Sequence[float],
+    *,
+    names: abc.Sequence[Any] = (),
+    unit: str = "auto",
+    common: str = "",
+    padded: bool = False,
+) -> Stamps:
     """Are these numbers the times at which images were taken?
 
     Durations of the frames, frame counters, equal or negative numbers are not. Numbers that do not
@@ -131,30 +205,64 @@ def judge_stamps(numbers: abc.Sequence[float], *, names: abc.Sequence[Any] = (),
     Args:
         numbers: Finite numbers, in the order of the list or file.
         names: Sorting keys of the images' names; empty where nothing but the numbers tells an order.
-        unit: "s", "ms", "us" or "ns" where the file's format fixes it; "auto" finds it by the numbers.
+        unit: One of ``PER_SECOND`` where the file's format or the user fixes it; "none": they are not times; "auto"
+            finds it by the numbers.
+        common: For "auto", the unit of all lists of the recording, ``common_unit``.
+        padded: They are written with leading zeros, as counters are.
     """
-    values, ordered = list(numbers), sorted(numbers)
+    values = list(numbers)
+    ordered = sorted(numbers)
     if not values:
         return Stamps([])
-    found = time_unit(ordered) if unit == "auto" else unit
-    reason = _no_times(ordered, PER_SECOND[found]) or (_counter(ordered) if unit == "auto" else "")
+    if unit == "none":
+        return Stamps(None, "the user says so")
+    found = unit
+    if unit == "auto":
+        found = common or time_unit(ordered)
+    counter = _counter(ordered, padded=padded) if unit == "auto" else ""
+    reason = _no_times(ordered, PER_SECOND[found]) or counter
     times = [v / PER_SECOND[found] for v in values]
+    guess = unit == "auto" and _may_count(ordered)
     backward = sum(b < a for a, b in itertools.pairwise(values))
     if backward and not reason:
         by_time = sorted(range(len(values)), key=values.__getitem__)
         if names and [names[i] for i in by_time] == sorted(names):
-            return Stamps(times, unit=found, unordered=backward)
+            return Stamps(times, unit=found, unordered=backward, is_guess=guess)
         reason = f"{backward} of {len(values)} are smaller than the one before"
-    return Stamps(None, reason, found) if reason else Stamps(times, unit=found)
+    if reason:
+        return Stamps(None, reason, found, counts_frames=bool(counter))
+    return Stamps(times, unit=found, is_guess=guess)
+
+
+def date_unit(value: float) -> str:
+    """The unit in which a number is a date of today; empty if it is none."""
+    if NET_TICKS[0] <= abs(value) < NET_TICKS[1]:
+        return "100ns"
+    return next((unit for unit, (first, last) in DATES.items() if first <= abs(value) < last), "")
 
 
 def time_unit(increasing: abc.Sequence[float]) -> str:
-    """Unit in which times since 1970 fall between 2001 and 2286, or in which the median step is that of a camera."""
-    last = abs(float(increasing[-1]))
+    """Unit in which times are dates of today (``DATES``), or in which the median step is that of a camera."""
+    return date_unit(increasing[-1]) or _unit_of_step(_median_step(increasing))
+
+
+def common_unit(lists: abc.Iterable[abc.Sequence[float]]) -> str:
+    """The unit of several lists of one recording: that of their dates, or that of the list with the smallest steps."""
+    ordered = [sorted(numbers) for numbers in lists if len(numbers)]
+    if not ordered:
+        return "s"
+    dates = [unit for numbers in ordered if (unit := date_unit(numbers[-1]))]
+    steps = [step for numbers in ordered if (step := _median_step(numbers)) > 0]
+    return dates[0] if dates else _unit_of_step(min(steps, default=0.0))
+
+
+def _median_step(increasing: abc.Sequence[float]) -> float:
     steps = [b - a for a, b in itertools.pairwise(increasing)]
-    step = statistics.median(steps) if steps else 0.0
-    since_1970 = next((unit for unit, n in PER_SECOND.items() if 1e9 <= last / n < 1e10), None)
-    return since_1970 or next(unit for unit, most in LARGEST_STEP.items() if step <= most)
+    return statistics.median(steps) if steps else 0.0
+
+
+def _unit_of_step(step: float) -> str:
+    return next(unit for unit, most in LARGEST_STEP.items() if step <= most)
 
 
 def _no_times(ordered: list[float], per_second: float) -> str:
@@ -176,11 +284,22 @@ def _no_times(ordered: list[float], per_second: float) -> str:
     return ""
 
 
-def _counter(ordered: list[float]) -> str:
+def _counter(ordered: list[float], *, padded: bool) -> str:
     """Why these numbers, sorted, are frame numbers; empty if they are not."""
     steps = [b - a for a, b in itertools.pairwise(ordered)]
-    if len(steps) < 2 or ordered[-1] >= _COUNTER_BELOW or any(v != int(v) for v in ordered):
+    if len(steps) < 2 or not _may_count(ordered):
         return ""
+    span = f"from {ordered[0]:g} to {ordered[-1]:g}"
     low = min(steps)
-    counts = 0 < low < _COUNTER_STEP and statistics.median(steps) == low and all(step % low == 0 for step in steps)
-    return f"they count the frames, from {ordered[0]:g} to {ordered[-1]:g}" if counts else ""
+    if 0 < low < _COUNTER_STEP and statistics.median(steps) == low and all(step % low == 0 for step in steps):
+        return f"they count the frames, {span}"
+    if padded:
+        return f"they number the frames, with leading zeros, {span}"
+    if statistics.median(steps) < _LEAST_STEP_MS:
+        return f"they number the frames, {span}: in milliseconds they would be too close together"
+    return ""
+
+
+def _may_count(ordered: list[float]) -> bool:
+    """Whether these numbers, sorted, are whole and small enough to be those of frames."""
+    return ordered[-1] < _COUNTER_BELOW and all(v == int(v) for v in ordered)

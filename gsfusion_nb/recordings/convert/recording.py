@@ -57,8 +57,12 @@ class ConvertOptions(Settings):
     text, OKVIS2 or EuRoC csv, ORB-SLAM3 in seconds or nanoseconds. Or one pose per frame, as text or NumPy: 16 or 12
     numbers of a camera-to-world matrix, or "tx ty tz qx qy qz qw". "none" writes no poses at all, for a camera that is
     to be tracked."""
-    pose_time_unit: Literal["auto", "s", "ms", "us", "ns"] = "auto"
-    """Unit of the trajectory's times; "auto" takes the one in which the time steps are plausible."""
+    pose_time_unit: Literal["auto", "s", "ms", "us", "100ns", "ns"] = "auto"
+    """Unit of the trajectory's times; "auto" takes the one in which they are dates of today, or in which they span the
+    times of the frames, or in which their steps are those of a camera."""
+    image_time_unit: Literal["auto", "none", "s", "ms", "us", "100ns", "ns"] = "auto"
+    """Unit of the numbers in the names or lists of images. "none": they only number the frames; "auto" decides by the
+    numbers and says how."""
     max_gap_s: float = within(0.2, 0)
     """Largest time between the two poses around a frame; a frame in a longer gap is dropped, seconds."""
     time_offset_s: float = within(0.0, -math.inf)

@@ -138,6 +138,7 @@ class _Conversion:
     def add(self, place: int, frame: RecordedFrame) -> None:
         """Write the frame at a place of the recording, or leave it out and count why."""
         T_WC = None
+        frame = self._poses.timed(frame)
         if not self._poses.none:
             try:
                 T_WC, reason = self._poses.of(place, frame)
@@ -198,6 +199,8 @@ class _Conversion:
         if stamps.times_s is None:
             notes.append(f"the recorded times are not times: {stamps.why_not}; no times or frame rate are written")
             self._times = self._depth_times = [None] * len(self._times)
+        elif not stamps.times_s:
+            notes.append("the recording has no times: no times or frame rate are written")
         report = ConvertReport(
             out=out,
             format=format,

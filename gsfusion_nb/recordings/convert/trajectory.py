@@ -1,7 +1,9 @@
 """The pose of every frame: as recorded, or from a file, one per frame or interpolated at the frame's time."""
 
+import contextlib
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from torch import Tensor
 from ...checks import check_pose
 from ...data.recorded.files import images_in
 from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices, read_words
-from ...data.recorded.times import PER_SECOND
+from ...data.recorded.times import PER_SECOND, date_unit, judge_stamps
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
 from ...files import parsing, read_text, refusing
@@ -39,7 +41,11 @@ class FramePoses:
             self.notes.append(f"{file}: one pose per frame, taken as camera-to-world, OpenCV axes, metres")
         elif file:
             self.trajectory = read_trajectory(
-                Path(file), time_unit=options.pose_time_unit, max_gap_s=options.max_gap_s, T_body_cam=self._T_body_cam
+                Path(file),
+                time_unit=options.pose_time_unit,
+                max_gap_s=options.max_gap_s,
+                T_body_cam=self._T_body_cam,
+                frame_time_s=_first_time(recording),
             )
             self.notes += self.trajectory.notes
         elif not self.none and not recording.has_poses:
@@ -56,6 +62,13 @@ class FramePoses:
         """Whether a pose is that of a colour image and of its depth, whenever they were taken."""
         return self._per_frame is not None
 
+    def timed(self, frame: RecordedFrame) -> RecordedFrame:
+        """The frame with the time that the trajectory gives for its number, where the recording has no times."""
+        trajectory = self.trajectory
+        if trajectory is None or frame.time_s is not None or trajectory.counts_frames:
+            return frame
+        return replace(frame, time_s=trajectory.time_of_frame.get(frame_key(Path(frame.source).stem)))
+
     def of(self, place: int, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
         """Pose of the frame at a place of the recording, or None and why there is none; float64, metres."""
         if self._per_frame is not None:
@@ -63,13 +76,7 @@ class FramePoses:
             T = self._per_frame.get(frame_key(Path(frame.source).stem)) if T is None else T
             T = T if T is None or self._T_body_cam is None else T @ self._T_body_cam
         elif self.trajectory is not None:
-            if frame.time_s is None:
-                raise SequenceError(
-                    f"{self.trajectory.path} gives poses by time, but {frame.source} has none; expected image names or "
-                    "lists with times; --poses none tracks the camera later"
-                )
-            T = self.trajectory.pose_at(frame.time_s + self._offset_s)
-            reason = "the trajectory has no pose around its time"
+            T, reason = self._of_trajectory(self.trajectory, frame)
         else:
             T, reason = frame.T_WC, "no pose"
         if T is None:
@@ -80,6 +87,18 @@ class FramePoses:
         T[:3, 3] *= self._scale
         checked_pose(T, f"the pose of {frame.source}")
         return T, ""
+
+    def _of_trajectory(self, trajectory: "Trajectory", frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
+        """The pose at the time of a frame, or, where the frame has no time, of its number."""
+        if frame.time_s is not None:
+            return trajectory.pose_at(frame.time_s + self._offset_s), "the trajectory has no pose around its time"
+        if not trajectory.time_of_frame:
+            raise SequenceError(
+                f"{trajectory.path} gives poses by time, but {frame.source} has none; expected image names or "
+                "lists with times; --poses none tracks the camera later"
+            )
+        time_s = trajectory.time_of_frame.get(frame_key(Path(frame.source).stem))
+        return None if time_s is None else trajectory.pose_at(time_s), "the trajectory has no pose of its number"
 
     def _metres_per_unit(self, options: ConvertOptions) -> float:
         if options.scale:
@@ -94,6 +113,13 @@ class FramePoses:
             f"these poses have no unit of length; one unit is taken as {scale:.6g} m ({sentence}; --scale)"
         )
         return scale
+
+
+def _first_time(recording: Recording) -> float | None:
+    """When the first frame was taken, seconds; None where the recording has no times."""
+    with contextlib.suppress(SequenceError):
+        return next((frame.time_s for frame in recording.frames()), None)
+    return None
 
 
 def frame_key(name: str) -> tuple[int, ...] | str:
@@ -172,6 +198,10 @@ class Trajectory:
     """From the camera's frame to that of the body whose poses these are."""
     max_gap_s: float
     notes: tuple[str, ...] = ()
+    time_of_frame: Mapping[Any, float] = field(default_factory=dict)
+    """``frame_key`` of an image -> time of its pose, seconds, where the file says which image a pose belongs to."""
+    counts_frames: bool = False
+    """The times only number the frames."""
 
     def pose_at(self, time_s: float) -> Float[Tensor, "4 4"] | None:
         """Camera-to-world pose, or None outside the recorded time and in a gap longer than ``max_gap_s``."""
@@ -180,30 +210,49 @@ class Trajectory:
 
 
 def read_trajectory(
-    path: Path, *, time_unit: str = "auto", max_gap_s: float = 0.2, T_body_cam: Float[Tensor, "4 4"] | None = None
+    path: Path,
+    *,
+    time_unit: str = "auto",
+    max_gap_s: float = 0.2,
+    T_body_cam: Float[Tensor, "4 4"] | None = None,
+    frame_time_s: float | None = None,
 ) -> Trajectory:
     """Read poses ``T_world_body`` with times.
 
     Known: TUM text and ORB-SLAM3 ("t tx ty tz qx qy qz qw", seconds or nanoseconds), OKVIS2 csv (header, nanoseconds,
-    xyzw) and EuRoC csv (header, nanoseconds, wxyz). A header decides on the order of the columns. Rows with NaN or
-    infinities are left out: tracking was lost.
+    xyzw), EuRoC csv (header, nanoseconds, wxyz) and StrayScanner's odometry.csv, whose column "frame" numbers the
+    images. A header decides on the order of the columns. Rows with NaN or infinities are left out: tracking was lost.
 
     Args:
         path: The file.
-        time_unit: Unit of its times; "auto" takes the unit in which they are dates after 2001, or else the one in which
-            the steps are those of a camera.
+        time_unit: Unit of its times; "auto" takes the unit in which they are dates of today, or in which they span
+            ``frame_time_s``, or else the one in which the steps are those of a camera.
         max_gap_s: Largest gap to interpolate over, seconds.
         T_body_cam: From the camera's frame to the body's; the identity if the poses are those of the camera.
+        frame_time_s: When the first frame was taken, seconds; None: unknown.
 
     Raises:
-        SequenceError: no such file, no rows, a row that is not numeric, times that go back, two different poses at one
-            time, or a quaternion whose length is not 1.
+        SequenceError: no such file, no rows, a row that is not numeric, times that go back, two poses at one time that
+            are far apart, or a quaternion whose length is not 1.
     """
-    table, notes = checked_rows(_table(path), path, ordered=True)
+    stored, frames = _table(path)
+    table, notes = checked_rows(stored, path, ordered=True)
     if not len(table):
         raise SequenceError(f"{path} holds no finite pose; expected rows 't tx ty tz qx qy qz qw'")
-    unit = find_time_unit(table[:, 0].tolist()) if time_unit == "auto" else time_unit
-    notes.append(f"{path}: {len(table)} poses, times read as {unit}")
+    stamps = judge_stamps(table[:, 0].tolist())
+    counts_frames = time_unit == "auto" and frame_time_s is None and stamps.counts_frames and not frames
+    unit = time_unit
+    if time_unit == "auto":
+        unit = _unit_of(table[:, 0].tolist(), frame_time_s)
+    time_of_frame = {key: time / PER_SECOND[unit] for key, time in frames.items()}
+    if counts_frames:
+        unit = "s"
+        time_of_frame = {(int(t),): t for t in table[:, 0].tolist()}
+        notes.append(f"{path}: {len(table)} poses, whose times number the frames: each goes to the image of its number")
+    elif frames:
+        notes.append(f"{path}: {len(table)} poses, times read as {unit}; its column of frames says whose they are")
+    else:
+        notes.append(f"{path}: {len(table)} poses, times read as {unit}")
     return Trajectory(
         path=str(path),
         stamps_s=(table[:, 0] / PER_SECOND[unit]).contiguous(),
@@ -211,33 +260,70 @@ def read_trajectory(
         T_body_cam=torch.eye(4, dtype=torch.float64) if T_body_cam is None else T_body_cam,
         max_gap_s=max_gap_s,
         notes=tuple(notes),
+        time_of_frame=time_of_frame,
+        counts_frames=counts_frames,
     )
 
 
-def _table(path: Path) -> Float[Tensor, "N 8"]:
-    """Rows t tx ty tz qx qy qz qw in the file's unit of time, float64. [N, 8]"""
+def _unit_of(times: list[float], frame_time_s: float | None) -> str:
+    """Unit of increasing times: that of their dates, of the only span around a frame's time, or of their steps."""
+    dated = date_unit(times[-1])
+    if dated or frame_time_s is None:
+        return dated or find_time_unit(times)
+    spanning = [
+        unit
+        for unit, per_second in PER_SECOND.items()
+        if times[0] / per_second - _SPAN_MARGIN_S <= frame_time_s <= times[-1] / per_second + _SPAN_MARGIN_S
+    ]
+    by_step = find_time_unit(times)
+    return spanning[0] if len(spanning) == 1 else by_step
+
+
+_SPAN_MARGIN_S = 1.0
+"""A frame may be taken so long before the first pose or after the last one, seconds."""
+
+
+def _table(path: Path) -> tuple[Float[Tensor, "N 8"], dict[Any, float]]:
+    """Rows t tx ty tz qx qy qz qw in the file's unit of time, float64, and the time of each frame that they name."""
     lines = read_text(path, "rows 't tx ty tz qx qy qz qw'").splitlines()
-    columns, rows = None, []
+    columns, frame_column = None, None
+    rows: list[list[float]] = []
+    time_of_frame: dict[Any, float] = {}
     for number, line in enumerate(lines, 1):
         words = [w for w in re.split(r"[,\s]+", line.strip()) if w]
         if not words or line.lstrip().startswith(("#", "%")) or (not rows and words[0][:1].isalpha()):
-            columns = columns or _columns_of_header(line)
+            if columns is None:
+                columns = _columns_of_header(line)
+                frame_column = _frame_column(line) if columns else None
             continue
         columns = columns or (_EUROC if len(words) == _EUROC_COLUMNS else _TUM)
         with parsing(f"{path} line {number}", "a time, a position and a quaternion in at least 8 numbers"):
             rows.append([float(words[c]) for c in columns])
+            if frame_column is not None:
+                time_of_frame[frame_key(Path(words[frame_column]).stem)] = rows[-1][0]
     if not rows:
         raise SequenceError(f"{path} is empty; expected rows 't tx ty tz qx qy qz qw'")
-    return torch.tensor(rows, dtype=torch.float64)
+    return torch.tensor(rows, dtype=torch.float64), time_of_frame
+
+
+def _names_in(header: str) -> list[str]:
+    """Names of the columns in a header, in small letters, without units in brackets."""
+    text = re.sub(r"\[[^\]]*\]", "", header.strip().lstrip("#%").lower()).replace(".", "_")
+    return [n.strip() for n in (text.split(",") if "," in text else text.split())]
 
 
 def _columns_of_header(line: str) -> list[int] | None:
     """Columns of time, position and quaternion xyzw that a header names, if it names them all."""
-    text = re.sub(r"\[[^\]]*\]", "", line.strip().lstrip("#%").lower()).replace(".", "_")
-    names = [n.strip() for n in (text.split(",") if "," in text else text.split())]
+    names = _names_in(line)
     patterns = [*(rf"(t|p|p_.*_|){a}" for a in "xyz"), *(rf"q(_|_.*_|){a}" for a in "xyzw")]
     found = [next((i for i, n in enumerate(names) if re.fullmatch(p, n)), None) for p in patterns]
     return None if None in found else [0, *(i for i in found if i is not None)]
+
+
+def _frame_column(line: str) -> int | None:
+    """The column in which a header says that the number or name of an image stands."""
+    names = _names_in(line)
+    return next((i for i, n in enumerate(names) if re.fullmatch(r"(frame|image)(_?(id|number|index|name))?", n)), None)
 
 
 def camera_in_body(T_cam_body: str, T_body_cam: str) -> Float[Tensor, "4 4"] | None:

@@ -1,8 +1,19 @@
 """Which numbers are times, and pairing by time."""
 
+from pathlib import Path
+
 import pytest
 
-from gsfusion_nb.data.recorded.times import associate, judge_stamps
+from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data.recorded.files import natural_order
+from gsfusion_nb.data.recorded.times import (
+    associate,
+    common_unit,
+    judge_stamps,
+    read_image_list,
+    time_unit,
+    times_of_images,
+)
 
 CAMERA = [1305031102.17 + i / 30 for i in range(12)]
 
@@ -17,6 +28,7 @@ CAMERA = [1305031102.17 + i / 30 for i in range(12)]
         ([-0.1, 0.0, 0.1, 0.2], "1 of 4 are negative"),
         ([0.0, 1.0, 2.0, 3.0, 4.0], "they count the frames, from 0 to 4"),
         ([0.0, 5.0, 10.0, 20.0, 25.0, 30.0], "they count the frames"),
+        ([0.0, 9.0, 22.0, 31.0, 45.0, 52.0], "they number the frames, from 0 to 52: in milliseconds they would be too"),
         ([*CAMERA[6:], *CAMERA[:6]], "1 of 12 are smaller than the one before"),
         ([0.05, 0.21, 0.12, 0.30, 0.08, 0.17], "2 of 6 are smaller than the one before"),
     ],
@@ -25,6 +37,86 @@ def test_numbers_that_are_no_times(numbers, why):
     found = judge_stamps(numbers)
     assert found.times_s is None
     assert why in found.why_not
+
+
+def test_leading_zeros_number_frames():
+    clock_or_chosen_frames = [0.0, 28.0, 61.0, 95.0, 130.0]
+    found = judge_stamps(clock_or_chosen_frames)
+    assert found.is_guess
+    assert found.unit == "ms"
+    assert not judge_stamps([1000 * t for t in CAMERA]).is_guess
+    padded = judge_stamps(clock_or_chosen_frames, padded=True)
+    assert padded.times_s is None
+    assert padded.why_not == "they number the frames, with leading zeros, from 0 to 130"
+    assert judge_stamps(clock_or_chosen_frames, unit="none").times_s is None
+    assert judge_stamps(clock_or_chosen_frames, unit="ms", padded=True).times_s == pytest.approx(
+        [0, 0.028, 0.061, 0.095, 0.13]
+    )
+
+
+def test_ticks_of_windows_and_dotnet_are_known_by_their_dates():
+    """24 September 2021 in ticks of 100 ns after the year 1601, and after the year 1."""
+    for ticks in (132769152000000000.0, 637680384000000000.0):
+        found = judge_stamps([ticks + round(i / 30 * 1e7) for i in range(6)])
+        assert found.unit == "100ns"
+        assert found.times_s is not None
+        assert [t - found.times_s[0] for t in found.times_s] == pytest.approx([i / 30 for i in range(6)], abs=1e-5)
+
+
+def test_lists_of_one_recording_have_one_unit():
+    every_6th = [1000 * i / 5 for i in range(4)]
+    colour_us = [1e6 * i / 30 for i in range(19)]
+    depth_us = colour_us[::6]
+    assert time_unit(every_6th) == "ms"
+    assert common_unit([colour_us, depth_us]) == "us"
+    slow_us = [6e5 * i for i in range(4)]  # at 1.7 Hz, alone, as if in nanoseconds
+    assert time_unit(slow_us) == "ns"
+    assert common_unit([colour_us, slow_us]) == "us"
+    assert common_unit([[1.7e18 + 1e9 * i for i in range(4)], [5.0]]) == "ns"
+
+
+@pytest.mark.parametrize(("unit", "per_s"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9), ("100ns", 1e7)])
+def test_times_of_the_plain_layout_are_seconds(tmp_path, unit, per_s):
+    images = [tmp_path / f"{i:06d}.png" for i in range(4)]
+    start = 13276915200 if unit == "100ns" else 1700000000
+    lines = [f"{image.stem} {int((start + i / 15) * per_s)}" for i, image in enumerate(images)]
+    (tmp_path / "times.txt").write_text("\n".join(lines))
+    with pytest.raises(SequenceError, match=rf"must hold seconds, .* as {unit} it is one in 0\.06\d* s"):
+        times_of_images(tmp_path / "times.txt", images)
+
+
+def test_a_slow_recording_has_its_times(tmp_path):
+    images = [tmp_path / f"{i}.png" for i in range(4)]
+    (tmp_path / "times.txt").write_text(
+        "".join(f"{image.stem} {1700000000 + 8 * i}\n" for i, image in enumerate(images))
+    )
+    times, why_not = times_of_images(tmp_path / "times.txt", images)
+    assert why_not == ""
+    assert times == [(1700000000.0 + 8 * i,) * 2 for i in range(4)]
+
+
+def test_decimal_names_are_in_the_order_of_their_numbers():
+    names = ["1700000000.03.png", "1700000000.1.png", "1700000001.png", "rgb2.png", "rgb10.png"]
+    shuffled = [Path(names[i]) for i in (1, 3, 0, 4, 2)]
+    assert [path.name for path in sorted(shuffled, key=natural_order)] == names
+
+
+@pytest.mark.parametrize("line", ["rgb\\a b.png", "rgb/a b.png", '"rgb/a b.png"', "'rgb\\a b.png'", "rgb/a b.png  "])
+def test_listed_names_with_spaces_backslashes_and_quotes(tmp_path, line):
+    image = tmp_path / "rgb/a b.png"
+    image.parent.mkdir()
+    image.touch()
+    (tmp_path / "list.txt").write_text(f"# comment\n1.5 {line}\n")
+    assert read_image_list(tmp_path / "list.txt") == [[(1.5, image)]]
+    (tmp_path / "pairs.txt").write_text(f"1.5 {line} 1.6 {line}\n")
+    assert read_image_list(tmp_path / "pairs.txt", per_line=2) == [[(1.5, image), (1.6, image)]]
+
+
+@pytest.mark.parametrize("line", ["1.5", "x rgb/a.png", "nan rgb/a.png", "1.2.3 rgb/a.png"])
+def test_bad_lines_of_lists(tmp_path, line):
+    (tmp_path / "list.txt").write_text(line)
+    with pytest.raises(SequenceError, match=r"list\.txt line 1 must be 'timestamp filename', got"):
+        read_image_list(tmp_path / "list.txt")
 
 
 @pytest.mark.parametrize(("unit", "per_s"), [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])

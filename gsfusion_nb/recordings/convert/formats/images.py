@@ -20,7 +20,7 @@ from ....data.lens import CameraModel
 from ....data.readers.tum import LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
 from ....data.recorded.files import images_in, natural_order
 from ....data.recorded.images import read_rgb
-from ....data.recorded.times import Stamps, associate, judge_stamps
+from ....data.recorded.times import Stamps, associate, common_unit, judge_stamps
 from ....data.sequence import BadFrameError, SequenceError
 from ....files import is_file
 from ..camera import read_intrinsics
@@ -56,8 +56,9 @@ def recognise(path: Path) -> bool:
 def read(path: Path, options: ConvertOptions) -> Recording:
     """A folder of images (module docstring)."""
     kinds = _kinds(path)
-    depth, rgb = (_stream(path, kind, kinds[kind], getattr(options, kind)) for kind in ("depth", "colour"))
-    return recording_of(path, paired(path, rgb, depth), options)
+    depth = _numbered(path, "depth", kinds["depth"], options.depth)
+    rgb = _numbered(path, "colour", kinds["colour"], options.colour)
+    return recording_of(path, paired(path, *judged([rgb, depth], options.image_time_unit)), options)
 
 
 def _kinds(path: Path) -> dict[str, dict[str, list[Path]]]:
@@ -91,7 +92,7 @@ def _is_stored_depth(file: Path) -> bool:
         return False
 
 
-def _stream(path: Path, kind: str, fits: dict[str, list[Path]], given: str) -> "Stream":
+def _numbered(path: Path, kind: str, fits: dict[str, list[Path]], given: str) -> "Numbered":
     """The images of one kind: those that the option names, or the only ones that fit."""
     if given:
         folder = path / given if (path / given).is_dir() else Path(given)
@@ -107,13 +108,55 @@ def _stream(path: Path, kind: str, fits: dict[str, list[Path]], given: str) -> "
             question=f"Which of these is {kind}?" if fits else f"Which folder holds the {kind} images?",
             choices=names,
         )
-    numbers = [re.findall(r"\d+(?:\.\d+)?", p.stem) for p in files]
-    if any(len(found) != 1 for found in numbers):
-        return Stream(str(path / given), files, Stamps(None, "names do not hold one number each"))
-    times = [float(found[0]) for found in numbers]
-    order = sorted(range(len(files)), key=times.__getitem__)
-    stamps = judge_stamps([times[i] for i in order])
-    return Stream(str(path / given), files if stamps.times_s is None else [files[i] for i in order], stamps)
+    source = str(path / given)
+    texts = [re.findall(r"\d+(?:\.\d+)?", p.stem) for p in files]
+    if any(len(found) != 1 for found in texts):
+        return Numbered(source, files, None)
+    numbers = [float(found[0]) for found in texts]
+    return Numbered(source, files, numbers, padded=any(re.match(r"0\d", found[0]) for found in texts))
+
+
+@dataclass(frozen=True)
+class Numbered:
+    """Images of one kind, and the numbers in their names or beside them in a list, which may be times."""
+
+    source: str
+    """The list, or the folder."""
+    files: list[Path]
+    numbers: list[float] | None
+    """None: their names do not hold one number each."""
+    padded: bool = False
+    """The numbers are written with leading zeros."""
+    is_list: bool = False
+    """The order is that of a list, not of a folder, which has none."""
+
+
+def judged(kinds: Sequence[Numbered], unit: str) -> list["Stream"]:
+    """Streams of images, whose numbers are all times of one unit, or which of them are no times and why.
+
+    Args:
+        kinds: The images of each kind.
+        unit: ``ConvertOptions.image_time_unit``.
+    """
+    common = common_unit([kind.numbers for kind in kinds if kind.numbers])
+    streams = []
+    for kind in kinds:
+        if kind.numbers is None:
+            streams.append(Stream(kind.source, kind.files, Stamps(None, "names do not hold one number each")))
+            continue
+        order = range(len(kind.files))
+        if not kind.is_list:
+            order = sorted(order, key=kind.numbers.__getitem__)
+        stamps = judge_stamps(
+            [kind.numbers[i] for i in order],
+            names=[natural_order(file) for file in kind.files] if kind.is_list else (),
+            unit=unit,
+            common=common,
+            padded=kind.padded,
+        )
+        files = kind.files if stamps.times_s is None else [kind.files[i] for i in order]
+        streams.append(Stream(kind.source, files, stamps))
+    return streams
 
 
 @dataclass(frozen=True)
@@ -148,27 +191,64 @@ def paired(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
         SequenceError: neither times nor names pair them.
     """
     without = next((s for s in (depth, rgb) if s.stamps.times_s is None), None)
+    if without is None and _have_common_numbers(rgb, depth):
+        return _paired_by_number(rgb, depth)
     if without is None:
         return _paired_by_time(path, rgb, depth)
     pairs = paired_by_name(path, rgb.files, depth.files)
-    alone = len(depth.files) - len(pairs)
-    dropped = {"no colour image of its number": alone} if alone else {}
-    return replace(without_times(pairs, without.source, without.stamps), dropped=dropped)
+    frames = without_times(pairs, without.source, without.stamps)
+    return replace(frames, dropped=_left_out(rgb, depth, len(pairs)))
+
+
+def _have_common_numbers(rgb: Stream, depth: Stream) -> bool:
+    """Whether numbers that may be times or those of frames are mostly the same for both kinds of images."""
+    rgb_s = set(rgb.stamps.times_s or [])
+    depth_s = set(depth.stamps.times_s or [])
+    may_count = rgb.stamps.is_guess and depth.stamps.is_guess
+    return may_count and len(rgb_s & depth_s) >= 0.5 * min(len(rgb_s), len(depth_s))
+
+
+def _paired_by_number(rgb: Stream, depth: Stream) -> FrameFiles:
+    """Frames whose images have one number: a tolerance would pair images of different frames."""
+    colour_at = dict(zip(rgb.stamps.times_s or [], rgb.files, strict=True))
+    found = [(t, file) for t, file in zip(depth.stamps.times_s or [], depth.files, strict=True) if t in colour_at]
+    return FrameFiles(
+        [(colour_at[t], file) for t, file in found],
+        [t for t, _ in found],
+        dropped=_left_out(rgb, depth, len(found)),
+        notes=(*notes_on_times(rgb), *notes_on_times(depth)),
+    )
 
 
 def without_times(pairs: list[tuple[Path, Path]], source: str, stamps: Stamps) -> FrameFiles:
     """Frames whose numbers are no times."""
     note = (
-        f"the numbers of {source} are not times: {stamps.why_not}; so frames are in the order of the list or folder, "
-        "and no times or frame rate are written"
+        f"the numbers of {source} are not times: {stamps.why_not}; so frames are in the order of the list or folder "
+        "(--image-time-unit)"
     )
     return FrameFiles(pairs, None, notes=(note,))
+
+
+def _left_out(rgb: Stream, depth: Stream, n_pairs: int) -> dict[str, int]:
+    """Images without a partner of their number, by reason."""
+    alone = {
+        "no colour image of its number": len(depth.files) - n_pairs,
+        "no depth image of its number": len(rgb.files) - n_pairs,
+    }
+    return {reason: n for reason, n in alone.items() if n > 0}
 
 
 def notes_on_times(stream: Stream) -> tuple[str, ...]:
     """What was done to times that are not in order or not in seconds."""
     stamps = stream.stamps
-    notes = [f"{stream.source}: times were read as {stamps.unit}"] if stamps.unit != "s" else []
+    notes = []
+    if stamps.is_guess:
+        notes.append(
+            f"{stream.source}: the numbers are taken as times in {stamps.unit}; if they only number the frames: "
+            "--image-time-unit none"
+        )
+    elif stamps.unit != "s":
+        notes.append(f"{stream.source}: times were read as {stamps.unit}")
     if stamps.unordered:
         notes.append(f"{stream.source} was sorted by time, which is also the order of its file names")
     return tuple(notes)

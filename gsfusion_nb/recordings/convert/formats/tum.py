@@ -6,17 +6,13 @@ benchmark's cameras are known by the folder's name; for other recordings they co
 ``camera.txt`` or the option.
 """
 
-import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from ....checks import shown
-from ....data.recorded.files import natural_order
-from ....data.recorded.poses import read_words
-from ....data.recorded.times import Stamps, judge_stamps, read_image_list
-from ....data.sequence import SequenceError
+from ....data.recorded.times import read_image_list
 from ..recording import ConvertOptions, Recording
-from .images import FrameFiles, Stream, notes_on_times, paired, recording_of, without_times
+from .images import FrameFiles, Numbered, judged, notes_on_times, paired, recording_of, without_times
 
 _ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt", "assoc.txt")
 
@@ -30,7 +26,7 @@ def recognise(path: Path) -> bool:
 
 def read(path: Path, options: ConvertOptions) -> Recording:
     """A folder with lists of images (module docstring)."""
-    return recording_of(path, frames_of(path), options)
+    return recording_of(path, frames_of(path, options.image_time_unit), options)
 
 
 def associations_of(path: Path) -> Path | None:
@@ -38,36 +34,39 @@ def associations_of(path: Path) -> Path | None:
     return next((path / n for n in _ASSOCIATIONS if (path / n).is_file()), None)
 
 
-def frames_of(path: Path) -> FrameFiles:
+def frames_of(path: Path, unit: str = "auto") -> FrameFiles:
     """The frames of a folder with lists.
 
     Numbers that are not times (``recorded.times``) neither sort nor pair the images: the list's order does, or that of
     the images' names.
 
+    Args:
+        path: The folder.
+        unit: ``ConvertOptions.image_time_unit``.
+
     Raises:
         SequenceError: no lists, a damaged list, or images that cannot be paired.
     """
     file = associations_of(path)
-    return paired(path, _stream(path, "rgb"), _stream(path, "depth")) if file is None else _associated(file)
+    if file is not None:
+        return _associated(file, unit)
+    rgb, depth = judged([_numbered(path / "rgb.txt"), _numbered(path / "depth.txt")], unit)
+    return paired(path, rgb, depth)
 
 
-def _associated(file: Path) -> FrameFiles:
+def _associated(file: Path, unit: str) -> FrameFiles:
     """Frames of lines "time file time file"; the file in a folder named depth is the depth image, else the second."""
     rows = []
-    for number, words in read_words(file, "lines 'time rgb time depth'"):
-        try:
-            times, files = (float(words[0]), float(words[2])), [file.parent / words[1], file.parent / words[3]]
-        except (ValueError, IndexError):
-            times, files = (math.nan, math.nan), []
-        if not all(map(math.isfinite, times)):
-            raise SequenceError(f"{file} line {number} must be 'time file time file', got {shown(' '.join(words))}")
-        depth = 0 if "depth" in words[1].lower() else 1
-        rows.append([(times[i], files[i]) for i in (1 - depth, depth)])
-    streams = [Stream(str(file), [p for _, p in kind], _judged(kind)) for kind in zip(*rows, strict=True)]
-    rgb_s, depth_s = (stream.stamps.times_s for stream in streams)
+    for first, second in read_image_list(file, per_line=2):
+        first_is_depth = "depth" in os.path.relpath(first[1], file.parent).lower()
+        rows.append((second, first) if first_is_depth else (first, second))
+    kinds = [_numbered_lines(file, lines) for lines in zip(*rows, strict=True)]
+    streams = judged(kinds, unit)
+    without = next((s for s in streams if s.stamps.times_s is None), None)
     pairs = [(colour, depth) for (_, colour), (_, depth) in rows]
-    if rgb_s is None or depth_s is None:
-        return without_times(pairs, str(file), next(s.stamps for s in streams if s.stamps.times_s is None))
+    if without is not None:
+        return without_times(pairs, str(file), without.stamps)
+    rgb_s, depth_s = (stream.stamps.times_s or [] for stream in streams)
     order = sorted(range(len(rows)), key=depth_s.__getitem__)
     return FrameFiles(
         [pairs[i] for i in order],
@@ -77,12 +76,10 @@ def _associated(file: Path) -> FrameFiles:
     )
 
 
-def _judged(lines: Sequence[tuple[float, Path]]) -> Stamps:
-    return judge_stamps([number for number, _ in lines], names=[natural_order(file) for _, file in lines])
+def _numbered(file: Path) -> Numbered:
+    """Files and numbers of a list."""
+    return _numbered_lines(file, [line for (line,) in read_image_list(file)])
 
 
-def _stream(path: Path, name: str) -> Stream:
-    """Files and times of a list."""
-    file = path / f"{name}.txt"
-    numbers, files = read_image_list(file)
-    return Stream(str(file), files, _judged([*zip(numbers, files, strict=True)]))
+def _numbered_lines(file: Path, lines: Sequence[tuple[float, Path]]) -> Numbered:
+    return Numbered(str(file), [image for _, image in lines], [number for number, _ in lines], is_list=True)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data import SequenceError, folder
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
 from gsfusion_nb.recordings.convert.formats import images
 from gsfusion_nb.recordings.convert.recording import OptionNeeded, check_exr
@@ -60,6 +60,51 @@ def test_poses(tmp_path, takes, write_poses):
     assert detect_format(root) == "images"
     convert(root, tmp_path / "out")
     takes.check(tmp_path / "out", rgb=3)
+
+
+def test_frame_numbers_pair_images_and_are_no_times(tmp_path, takes):
+    """Frames chosen out of a video, of which one colour and another depth image are lost: nothing else pairs them."""
+    numbers = ["000112", "000120", "000133", "000141"]
+    root = tmp_path / "scan"
+    for i, number in enumerate(numbers):
+        if i != 0:
+            takes.write(root / f"rgb/frame_{number}.png", takes.png(i))
+        if i != 1:
+            takes.write(root / f"depth/frame_{number}.png", takes.depth_png(i))
+    lines = [
+        f"frame_{n}.png {' '.join(str(v) for v in T.ravel())}" for n, T in zip(numbers, takes.T_WC.numpy(), strict=True)
+    ]
+    (root / "poses.txt").write_text("\n".join(lines))
+    np.savetxt(root / "K.txt", K(takes))
+    report = convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out", frames=[2, 3])
+    assert report.dropped == {"no colour image of its number": 1, "no depth image of its number": 1}
+    assert "fps" not in json.loads((tmp_path / "out/intrinsics.json").read_text())
+
+
+def test_numbers_that_may_be_times_are_not_paired_by_a_tolerance(tmp_path, takes):
+    """Names 30 apart, without leading zeros: milliseconds, or frames. That is said, and only equal numbers pair."""
+    root = tmp_path / "scan"
+    for i, number in enumerate((100, 130, 161, 190)):
+        takes.write(root / f"rgb/{number}.png", takes.png(i))
+        takes.write(root / f"depth/{number + 15 * (i == 2)}.png", takes.depth_png(i))
+    np.savetxt(root / "K.txt", K(takes))
+    report = convert(root, tmp_path / "out", options=ConvertOptions(poses="none"))
+    assert report.frames == 3
+    assert any("taken as times in ms" in note and "--image-time-unit none" in note for note in report.notes)
+
+
+def test_the_column_of_frames_says_whose_a_pose_is(tmp_path, takes):
+    """StrayScanner's odometry.csv: times that the images do not have, and the number of each image."""
+    root = write(tmp_path / "scan", takes, colour="rgb/00000{}.png", depth="depth/00000{}.png")
+    rows = [f"{1000.5 + i / 60:.6f}, {i:06d}, {', '.join(map(str, takes.tum_row(i)))}" for i in range(len(takes))]
+    (root / "odometry.csv").write_text("\n".join(["timestamp, frame, x, y, z, qx, qy, qz, qw", *rows]))
+    np.savetxt(root / "K.txt", K(takes))
+    report = convert(root, tmp_path / "out", options=ConvertOptions(poses=str(root / "odometry.csv")))
+    takes.check(tmp_path / "out", pose=1e-5)
+    times = [frame.timestamp_s for frame in folder(tmp_path / "out")]
+    assert times == pytest.approx([1000.5 + i / 60 for i in range(4)])
+    assert any("its column of frames says whose they are" in note for note in report.notes)
 
 
 def numbers(root, matrix):

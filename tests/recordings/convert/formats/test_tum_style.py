@@ -43,6 +43,40 @@ def test_associations(tmp_path, takes):
     takes.check(tmp_path / "out", depth_m=1.1e-4)
 
 
+def test_lists_and_trajectory_that_count_the_frames(tmp_path, takes):
+    """As ElasticFusion reads them: "1 depth/1.png 1 rgb/1.png", and poses "1 tx ty tz qx qy qz qw"."""
+    root = tmp_path / "scan"
+    for i in range(len(takes)):
+        takes.write(root / f"rgb/{i + 1}.png", takes.png(i))
+        takes.write(root / f"depth/{i + 1}.png", takes.depth_png(i, 5000))
+    numbers = range(1, len(takes) + 1)
+    (root / "associations.txt").write_text("".join(f"{n} depth/{n}.png {n} rgb/{n}.png\n" for n in numbers))
+    rows = [" ".join([str(n), *(f"{v:.9f}" for v in takes.tum_row(n - 1))]) for n in numbers]
+    (root / "groundtruth.txt").write_text("\n".join(rows[1:]))
+    c = takes.camera
+    (root / "calibration.txt").write_text(f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}\n")
+    report = convert(root, tmp_path / "out", options=ConvertOptions(depth_scale=5000.0))
+    takes.check(tmp_path / "out", frames=[1, 2, 3], depth_m=1.1e-4, pose=1e-5)
+    assert report.dropped == {"the trajectory has no pose of its number": 1}
+
+
+def test_ticks_of_a_hololens(tmp_path, takes):
+    """Colour, slower depth and poses in ticks of 100 ns: one unit for the three lists."""
+    root = tmp_path / "scan"
+    ticks = [132770000000000000 + round(t * 1e7) for t in (0.0, 0.2, 0.4, 0.6)]
+    for i, tick in enumerate(ticks):
+        takes.write(root / f"rgb/{tick}.png", takes.png(i))
+        takes.write(root / f"depth/{tick}.png", takes.depth_png(i))
+    for name, listed in (("rgb", ticks), ("depth", ticks[::3])):
+        (root / f"{name}.txt").write_text("".join(f"{tick} {name}/{tick}.png\n" for tick in listed))
+    rows = [" ".join([str(tick), *(f"{v:.9f}" for v in takes.tum_row(i))]) for i, tick in enumerate(ticks)]
+    (root / "groundtruth.txt").write_text("\n".join(rows))
+    c = takes.camera
+    (root / "calibration.txt").write_text(f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}\n")
+    convert(root, tmp_path / "out", options=ConvertOptions(depth_scale=1000.0))
+    takes.check(tmp_path / "out", frames=[0, 3], pose=1e-5)
+
+
 def test_without_poses_or_intrinsics_says_what_to_give(tmp_path, takes):
     root = write_tum(tmp_path / "scan", takes, truth=False)
     with pytest.raises(SequenceError, match=r"scan holds no poses; give a trajectory with --poses FILE"):
