@@ -9,11 +9,15 @@ from gsfusion_nb.config import GSFusionConfig, from_dict, gsfusion, gsfusion_fid
     ("preset", "m", "n", "random", "passes", "all_frames"),
     [("replica", 5, 3, 2, 10, False), ("scannetpp", 10, 1, 9, 10, True), ("tum", 10, 5, 5, 20, False)],
 )
-def test_presets_carry_the_published_numbers(preset, m, n, random, passes, all_frames):
-    c = gsfusion(preset, "paper_steps")
+@pytest.mark.parametrize("fidelity", ["paper_steps", "paper", "code"])
+def test_presets_carry_the_published_numbers(preset, m, n, random, passes, all_frames, fidelity):
+    c = gsfusion(preset, fidelity)
     o = c.optim
     assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (m, n, random)
-    assert (o.global_iterations, o.ssim_weight, c.keep_all_frames) == (passes, 0.2, all_frames)
+    assert (o.global_iterations, c.keep_all_frames) == (passes, all_frames)
+    assert (o.lr_xyz, o.lr_sh_dc, o.lr_sh_rest) == (1.6e-4, 2.5e-3, 1.25e-4)
+    assert (o.lr_opacity_logit, o.lr_log_scale, o.lr_quat) == (0.05, 1e-3, 1e-3)
+    assert (o.depth_weight, c.keyframe_max_gap) == (0.0, 0)
     assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (0.01, pytest.approx(0.08), 100)
     assert (c.seeding.quadtree_threshold, c.keyframe_min_seeds, c.sh_degree) == (0.1, 50, 3)
 
@@ -39,21 +43,17 @@ def test_what_the_released_code_does(preset):
 
 def test_measured_is_the_default():
     assert gsfusion("room") == gsfusion("room", "measured")
-    assert gsfusion(fidelity="paper_steps") == GSFusionConfig()
     with pytest.raises(KeyError, match="no fidelity 'papre'; known: code, measured, paper, paper_steps"):
         gsfusion("room", "papre")
 
 
 @pytest.mark.parametrize("preset", presets())
-def test_measured_takes_fewer_steps_where_no_data_set_has_its_own(preset):
+def test_measured_has_its_steps_rates_and_loss_on_all_data(preset):
     ours, papers = gsfusion(preset), gsfusion(preset, "paper_steps")
-    if preset in ("scannetpp", "tum"):
-        assert ours == papers
-    else:
-        o = ours.optim
-        assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (3, 1, 2)
-        assert (o.lr_xyz, o.depth_weight, ours.keyframe_max_gap) == (2 * papers.optim.lr_xyz, 0.2, 5)
-        assert replace(ours, optim=papers.optim, keyframe_max_gap=0) == papers
+    o = ours.optim
+    assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (3, 1, 2)
+    assert (o.lr_xyz, o.depth_weight, ours.keyframe_max_gap) == (2 * papers.optim.lr_xyz, 0.2, 5)
+    assert replace(ours, optim=papers.optim, keyframe_max_gap=0) == papers
 
 
 @pytest.mark.parametrize("preset", presets())
@@ -70,7 +70,7 @@ def test_settings_know_their_exceptions():
 
 
 def test_overrides_reach_nested_fields():
-    c = gsfusion("tum", tsdf__voxel_size_m=0.02, sh_degree=0, optim={"lr_xyz": 1.0})
+    c = gsfusion("tum", "code", tsdf__voxel_size_m=0.02, sh_degree=0, optim={"lr_xyz": 1.0})
     assert c.tsdf.voxel_size_m == 0.02
     assert c.tsdf.truncation_m == pytest.approx(0.16)
     assert (c.sh_degree, c.optim.lr_xyz, c.optim.keyframe_iterations) == (0, 1.0, 10)

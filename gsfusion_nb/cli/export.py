@@ -102,7 +102,7 @@ def _moving_camera(source: Path) -> dict[str, Any]:
 
 def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianParams:
     """The Gaussians for a .ply file: a surface that they are drawn over as discs, too."""
-    from ..config import from_dict
+    from ..config import from_run
     from ..export import read_trajectory_tum
     from ..files import parsing, read_object
     from ..mapping.gps_surface import TSDF
@@ -117,7 +117,7 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     poses = read_trajectory_tum(trajectory)[1].float() if trajectory.is_file() else []
     print(f"{folder.name} is drawn over its TSDF: making discs of it, and {options.bake_steps} steps to fit them ...")
     with parsing(folder / "config.json", "the settings of a run"):
-        config = from_dict(system.config_type, settings["config"])
+        config = from_run(system.config_type, settings["config"])
     gaussians = dataclasses.replace(gaussians, sh=gaussians.sh[:, : (config.sh_degree + 1) ** 2].contiguous())
     standard = system.standard_from(folder, gaussians, config, list(poses), options.bake_steps)
     print(f"{len(standard) - len(gaussians):,} discs for the surface, {len(gaussians):,} Gaussians in front of it")

@@ -13,7 +13,7 @@ import tyro
 
 from ..backends import from_environment
 from ..checks import shown
-from ..config import SystemConfig, from_dict, replace, to_dict
+from ..config import SystemConfig, from_run, replace, to_dict
 from ..config.values import EVERYDAY, leaves, named_values, parse_options, with_own_settings
 from ..files import read_object, reason_of
 
@@ -156,7 +156,7 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
 
     document = read_object(path, "the config.json of a run")
     try:
-        config = from_dict(get_system(document.get("system", "gsfusion")).config_type, document["config"])
+        config = from_run(get_system(document.get("system", "gsfusion")).config_type, document["config"])
         own_rule = config.seeding.rule
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
         raise ValueError(f"{path} is not the config.json of a run: {reason_of(e)}") from None

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from .gsfusion import OptimConfig
 from .parts import SeedingConfig, SystemConfig, TsdfConfig
-from .values import Presets, Settings, within
+from .values import Presets, Settings, setting, within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,19 +33,21 @@ class BaseConfig(Settings, group="base"):
 class ResidualConfig(Settings, group="residual"):
     """Learning rates of the Gaussians, which stay constant, and which of them are removed."""
 
-    lr_xyz: float = within(1.6e-4, 0, 10)
+    lr_xyz: float = within(5e-4, 0, 10)
     """Learning rate of the centres, metres per step. Useful learning rates, here and below, lie within a factor of ten
-    of the defaults; a larger one learns faster, but the values may oscillate. (The release multiplies this by the size
-    of the whole walk, which is not known online.)"""
+    of the defaults; a larger one learns faster, but the values may oscillate. Released: 1.6e-4 times the size of the
+    whole walk, which is not known online."""
     lr_sh_dc: float = within(2.5e-2, 0, 10)
     """Learning rate of the base colour (spherical harmonics of degree 0). Released: 2.5e-3."""
     lr_sh_rest: float = within(1.25e-3, 0, 10)
     """Learning rate of the view-dependent colour (degrees 1 to 3). Released: 5e-4."""
-    lr_log_scale: float = within(5e-3, 0, 10)
-    """Learning rate of the logarithm of the sizes: 5e-3 changes a size by about 0.5 % per step."""
+    lr_log_scale: float = within(1e-2, 0, 10)
+    """Learning rate of the logarithm of the sizes: 1e-2 changes a size by about 1 % per step. Released: 5e-3."""
+    lr_quat: float = within(1e-3, 0, 10)
+    """Learning rate of the rotations (quaternion components)."""
     lr_opacity_logit: float = within(5e-2, 0, 10)
     """Learning rate of the opacities, before the sigmoid."""
-    loss: Literal["l1", "l2"] = "l1"
+    loss: Literal["l1", "l2"] = setting("l2", before="l1")
     """What a step makes smaller: the mean absolute ("l1", as released) or squared ("l2") difference of the colours.
     With "l2" a place that looks different in every picture, because poses or depth are noisy, becomes their mean, which
     is smoother and has a higher PSNR; with "l1" their median."""
@@ -55,9 +57,9 @@ class ResidualConfig(Settings, group="residual"):
     min_radius_m: float = within(0.0005, 0, 10)
     """Gaussians whose largest standard deviation is below this are removed, metres. Larger: no detail close to the
     camera. Released: 0.003."""
-    max_radius_m: float = within(0.1, 0, 1e6)
+    max_radius_m: float = within(1000.0, 0, 1e6)
     """Gaussians whose largest standard deviation is above this are removed, metres. Smaller: no large blobs, but
-    also none that correct a whole wall. Released: 0.1. The default removes none."""
+    also none that correct a whole wall. Released: 0.1. 1000 removes none."""
 
     @functools.cached_property
     def adam(self) -> OptimConfig:
@@ -88,7 +90,7 @@ class ScheduleConfig(Settings, group="schedule"):
     """At how many keyframes the TSDF is looked at in a round, each drawn at random. One that is not among the views
     takes the place of the one that was looked at longest ago. Larger: newer surfaces below the Gaussians, slower.
     Released: 7. Usual: 2 to 8."""
-    recalled_new: int = within(2, 0)
+    recalled_new: int = within(2, 0, before=0)
     """How many of these are instead the newest keyframe that was not looked at yet, if there is one. Larger: places
     that the camera sees now are optimised sooner, old ones are seen again later. Released: 0. Usual: 0 to recalled."""
 
@@ -102,7 +104,7 @@ class ViewsConfig(Settings, group="views"):
     fewer keyframes, less memory, less overlap. Released: 30. Usual: 5 to 30."""
     translation_m: float = within(0.3, 0)
     """Likewise when the camera's centre has moved by more than this, metres. Usual: 0.05 to 0.5."""
-    every_frames: int = within(0, 0)
+    every_frames: int = within(2, 0)
     """Also keep every n-th mapped frame, from the first on, but none that shows only what an earlier keyframe shows; 0:
     those that moved, as released, also where the camera was before. Smaller: more views for the passes after the scan,
     more memory. Usual: 0, or 2 to 10."""
@@ -120,7 +122,12 @@ class PassesConfig(Settings, group="final"):
 class GpsSlamConfig(SystemConfig):
     """All settings of a GPS-SLAM run, except where the data is."""
 
-    seeding: SeedingConfig = field(default_factory=lambda: SeedingConfig(rule="gps_slam"))
+    seeding: SeedingConfig = field(
+        default_factory=lambda: SeedingConfig(
+            rule="gps_slam",
+            options={"colour_error": 0.08, "share": 0.15, "most": 0.01, "max_weight": 1.0, "in_holes": True},
+        )
+    )
     tsdf: TsdfConfig = field(default_factory=lambda: TsdfConfig(truncation_voxels=4.0))
     base: BaseConfig = field(default_factory=BaseConfig)
     residual: ResidualConfig = field(default_factory=ResidualConfig)
@@ -137,7 +144,8 @@ _PRESETS = Presets("gps_slam", GpsSlamConfig())
 
 def gps_slam(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> GpsSlamConfig:
     """Settings of GPS-SLAM: "replica", "scannetpp", "tum", "azure", which differ only in what is held out; "room" for
-    the built-in scene; "online" is "replica" without the passes after the scan.
+    the built-in scene; "online" is "replica" without the passes after the scan. Without arguments they are
+    ``GpsSlamConfig()``.
 
     Args:
         preset: Name of the preset.
@@ -152,5 +160,7 @@ def gps_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
     return _PRESETS.make(preset, fidelity, overrides)
 
 
+gps_slam_fidelities = tuple(_PRESETS.fidelities)
+"""What ``fidelity`` may be, the default first."""
 gps_slam_fidelity = _PRESETS.fidelity_of
 """Which fidelity settings have, and what they set otherwise: "code, but final.passes 5"."""

@@ -14,17 +14,17 @@ class OptimConfig(Settings, group="optim"):
     A larger rate learns faster, but the values may oscillate; useful values lie within a factor of ten of the defaults.
     """
 
-    lr_xyz: float = within(1.6e-4, 0, 10)
-    """Learning rate of the centres, metres per step."""
-    lr_sh_dc: float = within(2.5e-3, 0, 10)
+    lr_xyz: float = within(3.2e-4, 0, 10)
+    """Learning rate of the centres, metres per step. Published: half of it, as for all rates below."""
+    lr_sh_dc: float = within(5e-3, 0, 10)
     """Learning rate of the base colour (spherical harmonics of degree 0)."""
-    lr_sh_rest: float = within(1.25e-4, 0, 10)
+    lr_sh_rest: float = within(2.5e-4, 0, 10)
     """Learning rate of the view-dependent colour (degrees 1 to 3)."""
-    lr_log_scale: float = within(1e-3, 0, 10)
-    """Learning rate of the logarithm of the sizes: 1e-3 changes a size by about 0.1 % per step."""
-    lr_quat: float = within(1e-3, 0, 10)
+    lr_log_scale: float = within(2e-3, 0, 10)
+    """Learning rate of the logarithm of the sizes: 2e-3 changes a size by about 0.2 % per step."""
+    lr_quat: float = within(2e-3, 0, 10)
     """Learning rate of the rotations (quaternion components)."""
-    lr_opacity_logit: float = within(5e-2, 0, 10)
+    lr_opacity_logit: float = within(0.1, 0, 10)
     """Learning rate of the opacities, before the sigmoid."""
     beta1: ClassVar[float] = 0.9
     """Adam's memory of the gradient, 0 to 1. Larger: smoother, slower to change direction. Usual: 0.8 to 0.95."""
@@ -38,11 +38,11 @@ class OptimConfig(Settings, group="optim"):
     Gaussian are 3 to 6 learning rates long; "shared": by the step count of the whole map, as in the released code: all
     steps are shorter during the first 2,000 (0.15 times at step 10, 0.44 at 210), then as with "none"; "per_row": by
     the age of each Gaussian (textbook Adam), so its first step is 1 learning rate."""
-    keyframe_iterations: int = within(5, 0)
-    """m: optimisation steps on a frame that is a keyframe. Larger: better pictures while scanning, slower. Usual: 5 to
-    20."""
-    frame_iterations: int = within(3, 0)
-    """n: optimisation steps on a frame that is not a keyframe. Usual: 1 to 10."""
+    keyframe_iterations: int = within(3, 0)
+    """m: optimisation steps on a frame that is a keyframe. Larger: better pictures while scanning, slower. Published:
+    5. Usual: 3 to 20."""
+    frame_iterations: int = within(1, 0)
+    """n: optimisation steps on a frame that is not a keyframe. Published: 3. Usual: 1 to 10."""
     random_keyframe_iterations: int = within(2, 0)
     """Steps on randomly drawn earlier keyframes after each frame that is not a keyframe. Larger: places seen earlier
     stay sharp (less forgetting), slower. Usual: 0 to 10."""
@@ -68,10 +68,10 @@ class OptimConfig(Settings, group="optim"):
     """In the passes after the scan, compare each keyframe with the map's picture times three factors, one a colour,
     that are fitted to it, with a mean of 1 over all keyframes. On: the map has the mean brightness and white balance of
     a camera that changes them; without such changes it costs a little sharpness."""
-    depth_weight: float = within(0.0, 0, 1e6)
+    depth_weight: float = within(0.2, 0, 1e6, before=0.0)
     """Weight of the mean depth error in metres, over the pixels with measured depth, in all steps. The rendered depth
     is not divided by alpha, so the loss also closes holes. Larger: closer to the measured depth, noise included. 0 as
-    published, 0.2 by default; SplaTAM has 2 in units of its colour loss."""
+    published; SplaTAM has 2 in units of its colour loss."""
     isotropy_weight: float = within(0.0, 0, 1e6)
     """Weight of the mean difference, in metres, between a Gaussian's three sizes and their mean, in all steps. Larger:
     rounder Gaussians, fewer long needles. 0 as published; MonoGS has 10."""
@@ -96,7 +96,7 @@ class GSFusionConfig(SystemConfig):
     """Make every n-th mapped frame a keyframe, from the first on, however many Gaussians it adds; 0: keyframe_min_seeds
     decides, as published. Above 0, all seeding rules get the same number of optimisation steps. Larger: fewer
     keyframes. Usual: 0, or 3 to 10."""
-    keyframe_max_gap: int = within(0, 0)
+    keyframe_max_gap: int = within(5, 0, before=0)
     """Largest number of mapped frames from one keyframe to the next, however few Gaussians they add, except where an
     earlier keyframe shows the same; 0: no limit, as published. A camera that sees nothing new would otherwise have one
     keyframe, which the map overfits. Smaller: more keyframes, more memory and longer passes. Usual: 5 to 20."""
@@ -109,15 +109,15 @@ _PRESETS = Presets("gsfusion", GSFusionConfig())
 
 
 def gsfusion(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> GSFusionConfig:
-    """Settings of GSFusion as published for a data set: "replica", "scannetpp", "tum"; "room" for the built-in scene;
-    "azure" is "replica", because none are published for it; "online" is "replica" without the optimisation after the
-    scan.
+    """Settings of GSFusion for a data set: "replica", "scannetpp", "tum", "azure"; "room" for the built-in scene;
+    "online" is "replica" without the optimisation after the scan. Without arguments they are ``GSFusionConfig()``.
 
     Args:
         preset: Name of the preset.
         fidelity: Which to follow where they differ: "paper", "code" (as released), or "measured", our defaults, which
-            gave the better result in our measurements. "paper_steps" is "measured" with the paper's optimisation: five
-            steps a frame, its learning rates and no depth in the loss. ``docs/gsfusion.md`` lists every difference.
+            gave the better result in our measurements. "paper_steps" is "measured" with the paper's optimisation: its
+            steps for the data set, its learning rates and no depth in the loss. ``docs/gsfusion.md`` lists every
+            difference.
         overrides: Fields to change, nested ones with a dict or a double underscore:
             ``gsfusion("replica", optim__global_iterations=0, sh_degree=0)``.
 
@@ -127,6 +127,8 @@ def gsfusion(preset: str = "replica", fidelity: str = "measured", **overrides: A
     return _PRESETS.make(preset, fidelity, overrides)
 
 
+gsfusion_fidelities = tuple(_PRESETS.fidelities)
+"""What ``fidelity`` may be, the default first."""
 gsfusion_fidelity = _PRESETS.fidelity_of
 """Which fidelity settings have, and what they set otherwise: "code, but final.passes 5"."""
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from .values import Settings, positive, replace, within
+from .values import Settings, positive, replace, setting, within
 
 _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))
 NAMED_AXES = {
@@ -145,12 +145,12 @@ class TsdfConfig(Settings, group="tsdf"):
     where a new one counts a little more than all before together, so the surface follows the last frames and their
     noise; "int16": the mean in whole numbers of 1/32767 truncation distances, rounded towards zero, as the released
     code."""
-    colour_band_voxels: float = within(1.5, 0, 64)
+    colour_band_voxels: float = within(1.5, 0, 64, before=0.0)
     """A voxel takes its colour from pixels whose surface is within this distance of its centre, voxels; the weight
     falls from 1 at the surface to 0 there. Larger: blurs colours, because voxels in front of and behind a surface see
     other places at an angle; smaller: fewer observations, more noise. 0: from all pixels that observe it, with equal
     weights, as GSFusion. Usual: 1 to 2."""
-    colour_by_distance: bool = True
+    colour_by_distance: bool = setting(True, before=False)
     """A colour seen from the distance z counts 1 / z^2, as many times as its pixels are finer. Off: all distances count
     the same."""
     outlier_guard: bool = True
@@ -194,7 +194,7 @@ class SeedingConfig(Settings, group="seeding"):
     """A voxel holds at most one Gaussian: of the new ones that share a voxel the largest is created, and none where the
     map has one already (GSFusion's paper, section IV-C.1; the released code does not check this). On: fewer Gaussians
     close to the camera."""
-    without_depth: Literal["skip", "sides"] = "sides"
+    without_depth: Literal["skip", "sides"] = setting("sides", before="skip")
     """What the rule gsfusion does with quadtree cells whose middle has no depth: "skip", as published: they get no
     Gaussian; "sides": where the map shows nothing yet, they get one at the depth of the measured pixels to their left,
     right, above and below. For windows, gloss and sensors with holes; without holes both are the same."""
@@ -244,7 +244,7 @@ class DataConfig(Settings, group="data"):
     fewer for the map. 0 maps all frames; 8 is usual."""
     hold_out_offset: int = within(4, 0)
     """Which of each k frames is held out: 0 to k - 1."""
-    scored_views: int = within(250, 0)
+    scored_views: int = within(250, 0, before=0)
     """At most this many mapped views are scored, evenly spread; all held-out views are. 0 scores every mapped view, as
     the papers do; larger: more exact means, longer scoring. Usual: 100 to 500."""
     align_held_out: bool = False
@@ -268,7 +268,7 @@ class TrackingConfig(Settings, group="tracking"):
 
     poses: Literal["given", "tracked"] = "given"
     """"given": poses of the data; "tracked": poses are estimated, and only the first frame's comes from the data."""
-    pose_jumps: Literal["skip", "map"] = "skip"
+    pose_jumps: Literal["skip", "map"] = setting("skip", before="map")
     """What happens to a frame whose given pose is farther from the last one than a camera moves: more than 2 m a frame
     and 20 m/s by the time stamps, or 120 degrees a frame and 1500 degrees/s. "skip": it is not mapped, and the run says
     so; frames that go on from there are mapped. "map": it is mapped, and the run says so."""
@@ -290,7 +290,7 @@ class TrackingConfig(Settings, group="tracking"):
     inverse variance of a structured-light camera. Larger: far points count more; None: no weights (paper, code). Usual:
     0.5 to 3, or None for depth without noise. Absolute trajectory error (ATE) with weights and without: 1.9 and 6.1 cm
     on the noisy redkitchen250, 0.3 and 0.3 cm on the clean livingroom1_clean211, 0.6 and 0.2 cm on a clean room."""
-    brightness_m: float | None = positive(0.1)
+    brightness_m: float | None = positive(0.1, before=None)
     """How much brightness counts beside depth: a difference of 1 (black to white) counts as much as this distance,
     metres. Depth alone slides along flat surfaces. Larger: pictures count more; None: depth alone (paper, code). Usual:
     0.05 to 0.2. docs/tracking.md has the errors of both."""
@@ -310,9 +310,9 @@ class TrackingConfig(Settings, group="tracking"):
     """Tracking fails if the camera would have moved by more than this between two frames, metres. Usual: 0.1 to 1."""
     max_step_deg: float = positive(30.0)
     """Likewise if it would have turned by more than this, degrees. Usual: 10 to 60."""
-    landmarks: bool = False
+    landmarks: bool = setting(False, before=False)
     """Search corners (ORB) of earlier keyframes in every frame. Where their pose is far from the predicted one, ICP
-    starts from it, and their errors join ICP's. On by default for RTG-SLAM, whose model is less exact than a TSDF:
+    starts from it, and their errors join ICP's. RTG-SLAM needs it, because its model is less exact than a TSDF:
     docs/tracking.md has the errors of both systems without and with it."""
     back_end: bool = False
     """Detect loops, and correct the trajectory by landmarks and a pose graph over keyframes (Peng et al. 2024, section

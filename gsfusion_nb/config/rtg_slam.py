@@ -3,26 +3,25 @@
 Where the paper and the released code differ, the field says what each does; ``rtg_slam(fidelity=...)`` sets them all.
 """
 
-import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from .parts import DataConfig, SeedingConfig, SystemConfig
-from .values import Presets, Settings, positive, within
+from .parts import DataConfig, SeedingConfig, SystemConfig, TrackingConfig
+from .values import Presets, Settings, positive, setting, within
 
 
 @dataclass(frozen=True, kw_only=True)
 class DiscConfig(Settings, group="discs"):
     """When a ray hits a disc, and at which depth (Eq. 4-5)."""
 
-    opaque_alpha: float = within(math.exp(-0.5), 0.01, 0.99)
+    opaque_alpha: float = within(0.3, 0.01, 0.99)
     """delta_alpha: a ray hits a disc where the disc's alpha is at least this. Smaller: larger discs, fewer holes, less
-    exact edges. Paper exp(-0.5) = 0.61, code 0.6, measured best 0.3. Usual: 0.2 to 0.8."""
-    max_offset: float | None = positive(1.0)
+    exact edges. Paper exp(-0.5) = 0.61, code 0.6. Usual: 0.2 to 0.8."""
+    max_offset: float | None = positive(3.0)
     """Largest distance along z between the hit and the disc's centre, in units of the disc's largest standard
     deviation; beyond it the depth of the centre is used. Larger: more exact depth on tilted discs, but more outliers.
     Code 1; paper: no limit (None). Usual: 1 to 5."""
-    min_cosine: float = within(0.5, 0, 1)
+    min_cosine: float = within(0.17, 0, 1)
     """Smallest cosine of the angle between ray and disc normal at which the two are intersected; a disc seen at a
     flatter angle gets the depth of its centre. Smaller: intersects at flatter angles, more exact but more sensitive to
     errors of the normal. Paper 0.5 (60 degrees). Usual: 0.1 to 0.7."""
@@ -35,28 +34,30 @@ class DiscConfig(Settings, group="discs"):
 class WindowConfig(Settings, group="window"):
     """Optimisation over the last frames (Eq. 7-9)."""
 
-    every_frames: int = within(6, 1)
-    """Optimise once in this many frames. Larger: faster, but new areas stay rough for longer. Usual: 3 to 8."""
-    frames: int = within(5, 1)
-    """How many of the last frames the optimisation uses. Larger: less overfitting to one view, more memory. Usual: 1 to
-    12."""
-    iterations: int = within(50, 0)
-    """Steps per optimisation of the window. Larger: better pictures, slower. Usual: 20 to 100."""
-    lr_xyz: float = within(1e-3, 0, 10)
+    every_frames: int = within(8, 1)
+    """Optimise once in this many frames. Larger: faster, but new areas stay rough for longer. Published on Replica: 6.
+    Usual: 3 to 8."""
+    frames: int = within(12, 1)
+    """How many of the last frames the optimisation uses. Larger: less overfitting to one view, more memory. Published
+    on Replica: 5. Usual: 1 to 12."""
+    iterations: int = within(20, 0)
+    """Steps per optimisation of the window. Larger: better pictures, slower. Published: 50. Usual: 20 to 100."""
+    lr_xyz: float = within(3e-3, 0, 10)
     """Learning rate of the centres, metres per step, and of the rotations. Larger: the discs reach the measured surface
-    in fewer steps. Usual: 0.001 to 0.005."""
-    lr_sh_dc: float = within(5e-4, 0, 10)
+    in fewer steps. Published: 0.001. Usual: 0.001 to 0.005."""
+    lr_sh_dc: float = within(0.015, 0, 10)
     """Learning rate of the base colour (spherical harmonics of degree 0). The view-dependent colour learns at 1/20 of
-    it."""
-    lr_log_scale: float = within(4e-3, 0, 10)
-    """Learning rate of the logarithm of the sizes: 4e-3 changes a size by about 0.4 % per step."""
+    it. Published on Replica: 5e-4."""
+    lr_log_scale: float = within(0.06, 0, 10)
+    """Learning rate of the logarithm of the sizes: 0.06 changes a size by about 6 % per step. Published on Replica:
+    4e-3."""
     weight_colour: float = within(1.0, 0, 1e6)
     """w_c of Eq. 8: weight of the colour error (code 0.8). Larger: better pictures at the cost of depth. Usual: 0.5 to
     2."""
     anchor: Literal["birth", "window"] = "birth"
     """The anchor values of transparent Gaussians: "birth", those they were created with (paper), or "window", those at
     the start of this optimisation (code), so that they can drift from window to window."""
-    draw: Literal["random", "newest_half"] = "random"
+    draw: Literal["random", "newest_half"] = "newest_half"
     """Which frame of the window a step uses. "random": any (paper); "newest_half": any in the first half of the steps,
     the newest frame in the second half (code), which favours the present view."""
     depth_behind_m: float | None = positive(0.1)
@@ -75,14 +76,14 @@ class StateConfig(Settings, group="states"):
     """When a Gaussian becomes stable (no longer optimised), unstable again, or is deleted (section 3.2, "State
     management")."""
 
-    stable_confidence: float = positive(100.0)
+    stable_confidence: float = positive(300.0)
     """delta_eta: a Gaussian that was optimised in more steps than this becomes stable. Larger: better fitted before it
     is fixed, but slower. Code 100 on Replica, which is better with clean depth; 300 is better with noisy depth. Usual:
     100 to 400."""
     unstable_frames: int = within(120, 1)
     """delta_t: a Gaussian that is still unstable after this many frames is deleted. Larger: rarely seen places survive,
     and so do floaters. Usual: 100 to 400."""
-    age: Literal["all", "in_view"] = "all"
+    age: Literal["all", "in_view"] = setting("in_view", before="all")
     """Which frames count for unstable_frames: "all" since the Gaussian was created (paper, code), or "in_view", those
     with its centre in the picture. With "in_view" places that the camera passes quickly are not deleted later."""
     error_count: int = within(10, 1)
@@ -112,8 +113,9 @@ class KeyframeConfig(Settings, group="keyframes"):
     """How many of the latest keyframes take part in the optimisation (paper 1, code 3)."""
     random: int = within(3, 0)
     """How many randomly drawn earlier keyframes take part (paper 3, code 0). Larger: less forgetting. Usual: 0 to 8."""
-    iterations: int = within(50, 0)
-    """Steps of the optimisation at each keyframe. Larger: earlier views improve more, slower. Usual: 0 to 100."""
+    iterations: int = within(20, 0)
+    """Steps of the optimisation at each keyframe. Larger: earlier views improve more, slower. Published: 50. Usual: 0
+    to 100."""
     rows: Literal["all", "stable"] = "all"
     """Which Gaussians are drawn and optimised: "all" (paper) or only the "stable" ones (code)."""
     instead_of_window: bool = False
@@ -126,7 +128,7 @@ class FinalConfig(Settings, group="final"):
 
     passes: int = within(10, 0)
     """Steps per keyframe (paper 10; code 20 on Replica). Larger: better pictures, longer wait. Usual: 0 to 20."""
-    lr_factor: float = within(1.0, 0, 100)
+    lr_factor: float = within(0.5, 0, 100)
     """Learning rates as a multiple of the window's (code 4 on Replica, 1 elsewhere); centres do not move. Usual: 0.1 to
     4."""
     weight_depth: float = within(1.0, 0, 1e6)
@@ -137,7 +139,8 @@ class FinalConfig(Settings, group="final"):
 class RtgSlamConfig(SystemConfig):
     """All settings of an RTG-SLAM run, except where the data is."""
 
-    seeding: SeedingConfig = field(default_factory=lambda: SeedingConfig(rule="rtg_slam"))
+    seeding: SeedingConfig = field(default_factory=lambda: SeedingConfig(rule="rtg_slam", options={"share": 0.1}))
+    tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(target="hybrid", landmarks=True))
     discs: DiscConfig = field(default_factory=DiscConfig)
     window: WindowConfig = field(default_factory=WindowConfig)
     states: StateConfig = field(default_factory=StateConfig)
@@ -153,13 +156,13 @@ _PRESETS = Presets("rtg_slam", RtgSlamConfig())
 
 
 def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> RtgSlamConfig:
-    """Settings of RTG-SLAM as published for a data set: "replica", "tum", "scannetpp", "azure"; "room" for the
-    built-in scene; "online" is "replica" without the passes after the scan.
+    """Settings of RTG-SLAM for a data set: "replica", "tum", "scannetpp", "azure"; "room" for the built-in scene;
+    "online" is "replica" without the passes after the scan. Without arguments they are ``RtgSlamConfig()``.
 
     Args:
-        preset: Data set whose published numbers to take.
-        fidelity: Which to follow where paper and released code differ: "paper", "code", or "measured", a value of our
-            own for some settings (``docs/rtg_slam.md``); it overrides the data set's numbers.
+        preset: Name of the preset.
+        fidelity: Which to follow where paper and released code differ: "paper" or "code", with the numbers published
+            for the data set, or "measured", our defaults (``docs/rtg_slam.md``).
         overrides: Fields, nested ones with a double underscore: ``rtg_slam("tum", window__iterations=20)``.
 
     Raises:
@@ -168,5 +171,7 @@ def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
     return _PRESETS.make(preset, fidelity, overrides)
 
 
+rtg_slam_fidelities = tuple(_PRESETS.fidelities)
+"""What ``fidelity`` may be, the default first."""
 rtg_slam_fidelity = _PRESETS.fidelity_of
 """Which fidelity settings have, and what they set otherwise: "code, but final.passes 5"."""

@@ -66,19 +66,49 @@ def from_dict(cls: type[C], values: dict[str, Any], *, start: C | None = None) -
     return _merge(cls() if start is None else start, values, "")
 
 
+def from_run(cls: type[C], values: dict[str, Any]) -> C:
+    """The settings of a run, from its files: what they leave out is what runs did before that setting existed.
+
+    That is not always the default: a setting that came later may have a default that changes maps (``within``).
+    """
+    return from_dict(cls, values, start=_before(cls()))
+
+
+def _before(settings: C) -> C:
+    """``settings`` with the values that runs had before the settings existed, where a field names one."""
+    changes = {}
+    for f in dataclasses.fields(settings):  # pyright: ignore[reportArgumentType]
+        value = getattr(settings, f.name)
+        if dataclasses.is_dataclass(value):
+            changes[f.name] = _before(value)
+        elif "before" in f.metadata:
+            changes[f.name] = f.metadata["before"]
+    return dataclasses.replace(settings, **changes)  # pyright: ignore[reportArgumentType]
+
+
 def to_dict(config: Any) -> dict[str, Any]:
     """Nested plain dictionaries of a config, ready for JSON."""
     return dataclasses.asdict(config)
 
 
-def within(default: Any, low: float | int, high: float | int = math.inf) -> Any:
-    """A field of settings whose numbers lie between ``low`` and ``high``, both allowed."""
-    return field(default=default, metadata={"range": (low, high)})
+def within(default: Any, low: float | int, high: float | int = math.inf, **more: Any) -> Any:
+    """A field of settings whose numbers lie between ``low`` and ``high``, both allowed; ``more`` as for ``setting``."""
+    return setting(default, range=(low, high), **more)
 
 
-def positive(default: Any) -> Any:
-    """A field of settings whose number is above 0."""
-    return field(default=default, metadata={"positive": True})
+def positive(default: Any, **more: Any) -> Any:
+    """A field of settings whose number is above 0; ``more`` as for ``setting``."""
+    return setting(default, positive=True, **more)
+
+
+def setting(default: Any, **metadata: Any) -> Any:
+    """A field of settings.
+
+    Args:
+        default: Its default.
+        metadata: ``before``: what a run did before the setting existed, where that is not the default (``from_run``).
+    """
+    return field(default=default, metadata=metadata)
 
 
 class Settings:
@@ -143,8 +173,13 @@ def _with_none(values: Any) -> Any:
     return None if values == "None" else values
 
 
+MEASURED = "measured"
+"""The fidelity of the defaults: what gave better results in our measurements."""
+
+
 class Presets:
-    """Settings of a system, from ``presets.toml``: those published for each data set, and what each fidelity changes.
+    """Settings of a system. The defaults of its dataclass are the fidelity "measured" on most data; ``presets.toml``
+    says what other fidelities and data sets change.
 
     Args:
         system: Its name.
@@ -152,13 +187,17 @@ class Presets:
     """
 
     def __init__(self, system: str, start: Any):
-        published = read_packaged(Path(__file__).with_name("presets.toml"))[system]
+        tables = read_packaged(Path(__file__).with_name("presets.toml"))[system]
         self.start = start
-        self.of_data: dict[str, dict[str, Any]] = published["data"]
-        """Preset -> the user's part: a seeding rule does not change it."""
-        self.fidelities: dict[str, dict[str, Any]] = published["fidelity"]
-        """Fidelity -> settings over the preset's."""
-        self.of_code: dict[str, dict[str, Any]] = published.get("code_on", {})
+        self.of_data: dict[str, dict[str, Any]] = tables["data"]
+        """Preset -> the user's part in every fidelity: a seeding rule does not change it."""
+        self.published: dict[str, Any] = tables["published"]
+        """What all fidelities but "measured" have."""
+        self.published_on: dict[str, dict[str, Any]] = tables.get("published_on", {})
+        """Preset -> the user's part in these fidelities."""
+        self.fidelities: dict[str, dict[str, Any]] = {MEASURED: {}} | tables["fidelity"]
+        """Fidelity -> settings over ``published``."""
+        self.of_code: dict[str, dict[str, Any]] = tables.get("code_on", {})
         """Preset -> a last layer of the fidelity "code"."""
 
     def make(self, preset: str, fidelity: str, overrides: dict[str, Any]) -> Any:
@@ -169,20 +208,23 @@ class Presets:
         """
         check_name("preset", preset, self.of_data)
         check_name("fidelity", fidelity, self.fidelities)
-        config = replace(self.start, **self.of_data[preset])
         own = dict(self.fidelities[fidelity])
-        if preset in own.pop("not_on", ()):
-            own = {}
         like = self.fidelities.get(own.pop("like", ""), {})
-        last = self.of_code.get(preset, {}) if fidelity == "code" else {}
-        for layer in (like, own, last):
+        follows_paper = fidelity != MEASURED
+        config = self.start
+        for layer in (self.published if follows_paper else {}, like, own):
             config = _merge(config, layer, "")
+        if follows_paper:
+            config = replace(config, **self.published_on.get(preset, {}))
+        config = replace(config, **self.of_data[preset])
+        if fidelity == "code":
+            config = _merge(config, self.of_code.get(preset, {}), "")
         return replace(config, **overrides)
 
     @functools.cached_property
     def _values(self) -> dict[str, list[dict[str, Any]]]:
         """Fidelity -> values by dotted name for each preset."""
-        return {f: [leaves(to_dict(self.make(p, f, {}))) for p in self.of_data] for f in self.fidelities}
+        return {f: [_results(self.make(p, f, {})) for p in self.of_data] for f in self.fidelities}
 
     def fidelity_of(self, config: Any) -> str:
         """The fidelity that ``config`` follows, with its exceptions: "paper", or "code, but optim.ssim_weight 0.0".
@@ -195,7 +237,7 @@ class Presets:
             for key in same_data[0]
             if any(v[key] != same_data[0][key] for v in same_data)
         }
-        mine = {key: value for key, value in sorted(leaves(to_dict(config)).items()) if key in deciding}
+        mine = {key: value for key, value in sorted(_results(config).items()) if key in deciding}
         exceptions = [
             (name, [f"{key} {value}" for key, value in mine.items() if value != v[key]])
             for name, variants in self._values.items()
@@ -203,6 +245,13 @@ class Presets:
         ]
         closest, others = min(exceptions, key=lambda found: len(found[1]))
         return f"{closest}, but {', '.join(others)}" if others else closest
+
+
+def _results(config: Any) -> dict[str, Any]:
+    """The settings that results depend on, by dotted name: not which of them the user set."""
+    values = leaves(to_dict(config))
+    del values["seeding.own_settings"]
+    return values
 
 
 def leaves(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:

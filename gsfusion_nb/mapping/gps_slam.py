@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelity
+from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelities, gps_slam_fidelity
 from ..export.tsdf_file import as_stored, write_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import se3
@@ -39,7 +39,7 @@ class GPSSLAM(TsdfMapping):
     title = "GPS-SLAM"
     config_type = GpsSlamConfig
     preset = staticmethod(gps_slam)
-    fidelities = ("measured", "paper", "code")
+    fidelities = gps_slam_fidelities
     fidelity_of = staticmethod(gps_slam_fidelity)
     panels = ("input", "render", "error", "base", "residual", "new_gaussians")
     memory_savers = ("a larger views.every_frames", "larger voxels (tsdf.voxel_size_m)")

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..backends import observed, piece
-from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
+from ..config import GSFusionConfig, gsfusion, gsfusion_fidelities, gsfusion_fidelity
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, ViewLoss, adam_step, add_penalties_, depth_l1, depth_l1_vjp, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
@@ -29,7 +29,7 @@ class GSFusion(TsdfMapping):
     title = "GSFusion"
     config_type = GSFusionConfig
     preset = staticmethod(gsfusion)
-    fidelities = ("measured", "paper_steps", "paper", "code")
+    fidelities = gsfusion_fidelities
     fidelity_of = staticmethod(gsfusion_fidelity)
     panels = ("input", "render", "error", "quadtree_seeds")
     memory_savers = ("a larger seeding.quadtree_threshold", "larger voxels (tsdf.voxel_size_m)")

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from ..backends import runs_learners_code
 from ..checks import shown
-from ..config import OptimConfig, SystemConfig, from_dict, to_dict
+from ..config import OptimConfig, SystemConfig, from_run, to_dict
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose, take_missed_steps
 from ..render import Boxes, drawn_in_part, render
@@ -453,7 +453,7 @@ class Mapper(ABC):
             SequenceError: the rule is neither given nor registered by its name, the loss or optimiser is not given, or
                 one of them had a state that was not saved.
         """
-        config = from_dict(cls.config_type, state["config"])
+        config = from_run(cls.config_type, state["config"])
         if seeding is None:
             check_known(state["rule"])
         rule = find_rule(seeding if seeding is not None else state["rule"]["name"])

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import runs_learners_code
-from ..config import RtgSlamConfig, TsdfConfig, rtg_slam, rtg_slam_fidelity
+from ..config import RtgSlamConfig, TsdfConfig, rtg_slam, rtg_slam_fidelities, rtg_slam_fidelity
 from ..gaussians import STABLE, SurfelModel, Transitions, fuse_with_history
 from ..gaussians.surfels import change_states, count_errors, count_views, state_counts
 from ..geometry import depth_to_points, se3
@@ -56,7 +56,7 @@ class RTGSLAM(Mapper):
     title = "RTG-SLAM"
     config_type = RtgSlamConfig
     preset = staticmethod(rtg_slam)
-    fidelities = ("measured", "paper", "code")
+    fidelities = rtg_slam_fidelities
     fidelity_of = staticmethod(rtg_slam_fidelity)
     model_type = SurfelModel
     gaussians_are_discs = True

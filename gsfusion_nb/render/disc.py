@@ -29,8 +29,11 @@ from ..config import DiscConfig
 from ..geometry import pixel_grid, quaternion, rays, se3
 from ..geometry.operands import INTEGERS, check_gaussians, check_operand, check_view
 from ..types import Camera, GaussianParams, RenderOutput
-from .constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
+from .constants import DISC_MAX_OFFSET, DISC_MIN_COSINE, OPAQUE_ALPHA
 from .rasterize import check_rows, render_forward
+
+PUBLISHED_DISCS = DiscConfig(opaque_alpha=OPAQUE_ALPHA, min_cosine=DISC_MIN_COSINE, max_offset=DISC_MAX_OFFSET)
+"""When a disc counts as hit as published, for maps of systems that have no such settings."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -246,12 +249,13 @@ def view_surface(
 
     Args:
         params, camera, T_WC: as for ``render``.
-        config: When a disc counts as hit; with ``depth="blended"`` the depth is sum of w_k z_k / alpha instead.
+        config: When a disc counts as hit, as published by default; with ``depth="blended"`` the depth is sum of
+            w_k z_k / alpha instead.
         pixels: Draw only where this is true. [H, W]
 
     Differentiable: no; ``render_forward``, ``disc_depth`` and their vjp are.
     """
-    config = config or DiscConfig()
+    config = config or PUBLISHED_DISCS
     only = {} if pixels is None else {"pixels": pixels}
     output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.opaque_alpha, **only)
     hit, dominant = output.hit_index, output.dominant_index

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from ..config import DataConfig, from_dict
+from ..config import DataConfig, from_run
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
@@ -49,7 +49,7 @@ def rescore(
     with parsing(folder / "config.json", "the settings of a run"):
         source = dict(settings["source"])
         system = get_system(settings.get("system", "gsfusion"))
-        config = from_dict(system.config_type, settings["config"])
+        config = from_run(system.config_type, settings["config"])
         stored_device = torch.device(settings["device"])
     if data is not None:
         source["path_or_name"] = data

@@ -13,6 +13,7 @@ from torch import Tensor
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
 from ..geometry import backproject, depth_to_normals, pixel_grid, quaternion, se3
 from ..render import BaseView, Boxes, OverBaseOutput, SurfaceView, drawn_in_part, render, render_over_base, view_surface
+from ..render.disc import PUBLISHED_DISCS
 from ..tsdf import RaycastOutput, TsdfVolume, raycast
 from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
 from .image_features import (
@@ -49,7 +50,7 @@ class SeedContext:
     """Quadtree settings."""
     generator: torch.Generator = field(default_factory=lambda: torch.Generator().manual_seed(0))
     """The only source of randomness a rule may use."""
-    discs: DiscConfig = field(default_factory=DiscConfig)
+    discs: DiscConfig = PUBLISHED_DISCS
     """When a ray counts as hitting a Gaussian, for ``surface``."""
     near_m: float | None = None
     """Depth below this counts as missing, metres. Default: the volume's setting, or 0.4 m (published) without one."""

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..backends import op, piece
 from ..checks import check_saved, check_shape
-from ..config import TsdfConfig, from_dict, to_dict
+from ..config import TsdfConfig, from_run, to_dict
 from ..geometry.operands import check_operand
 from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK, BlockPool, estimate_memory
 from .octree import BlockIndex, NewBlocks, encode
@@ -268,7 +268,7 @@ class TsdfVolume:
             ValueError: Another configuration, tensors of other types or sizes, numbers that are not finite, a negative
                 weight, or a block that is stored twice or lies outside the index range.
         """
-        config = from_dict(TsdfConfig, state["config"])
+        config = from_run(TsdfConfig, state["config"])
         if config != self.config:
             raise ValueError(f"the saved map was made with {config}, this volume has {self.config}")
         _check_saved_blocks(state)

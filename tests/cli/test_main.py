@@ -47,7 +47,7 @@ def test_map_then_eval_then_repeat_from_its_config(tmp_path, capsys, monkeypatch
 
 def test_preset_is_a_start_that_options_override(tmp_path, capsys):
     with pytest.raises(SystemExit) as stop:
-        main(["map", "room", "--preset", "tum", "--help"])
+        main(["map", "room", "--preset", "tum", "--fidelity", "code", "--help"])
     assert stop.value.code == 0
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert "--optim.global-iterations" in text

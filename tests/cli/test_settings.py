@@ -10,6 +10,8 @@ from gsfusion_nb.cli.live import FolderOptions
 from gsfusion_nb.cli.map import MapOptions
 from gsfusion_nb.cli.settings import parse
 from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam, to_dict
+from gsfusion_nb.config.values import leaves
+from gsfusion_nb.mapping import SYSTEMS
 
 PARTS = [["room"], ["--device", "cpu"], ["--sh-degree", "1"], ["--reader", "n_frames=9"], ["--no-evaluate"]]
 """A list of values, such as that of --reader, ends with the next option, so the scene must not follow it."""
@@ -56,6 +58,29 @@ def test_settings_of_an_earlier_run_are_a_start(tmp_path):
     path.write_text(json.dumps({"system": "rtg_slam", "config": to_dict(earlier)}))
     options = parse(MapOptions, "map", ["room", "--seed", "3", "--from-config", str(path)], data="data")
     assert options.settings() == replace(earlier, seed=3)
+
+
+BEFORE = {
+    "gsfusion": {"keyframe_max_gap": 0, "optim.depth_weight": 0.0, "tsdf.colour_band_voxels": 0.0},
+    "rtg_slam": {"states.age": "all", "tracking.landmarks": False, "tracking.brightness_m": None},
+    "gps_slam": {"residual.loss": "l1", "schedule.recalled_new": 0, "tracking.pose_jumps": "map"},
+}  # fmt: skip
+"""Settings that came after their system, with what runs did before."""
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_run_from_before_a_setting_existed_keeps_what_it_did(tmp_path, system):
+    path, default = tmp_path / "config.json", SYSTEMS[system].config_type()
+    stored = to_dict(default)
+    for name in BEFORE[system]:
+        *group, last = name.split(".")
+        del (stored[group[0]] if group else stored)[last]
+    path.write_text(json.dumps({"system": system, "config": stored}))
+    options = parse(MapOptions, "map", ["room", "--from-config", str(path)], data="data")
+    values = leaves(to_dict(options.settings()))
+    assert {name: values[name] for name in BEFORE[system]} == BEFORE[system]
+    others = {name: value for name, value in leaves(to_dict(default)).items() if name not in BEFORE[system]}
+    assert others.items() <= values.items()
 
 
 @pytest.mark.parametrize(("system", "preset"), [("gsfusion", gsfusion), ("rtg_slam", rtg_slam), ("gps_slam", gps_slam)])

@@ -32,6 +32,14 @@ def test_settings_mapper_and_name_belong_together(name, config, mapper):
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
+def test_one_default(system):
+    mapper = SYSTEMS[system]
+    assert mapper.config_type() == mapper.preset() == mapper.preset("replica", mapper.fidelities[0])
+    assert mapper.fidelity_of(mapper.config_type()) == mapper.fidelities[0] == "measured"
+    assert make_mapper(mapper.config_type()).config == mapper().config
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
 @pytest.mark.parametrize("preset", presets())
 def test_every_system_has_every_preset(system, preset):
     for fidelity in SYSTEMS[system].fidelities:

@@ -103,9 +103,18 @@ def test_each_group_moves_at_its_own_rate(mode, multiple):
     model = GaussianModel(sh_degree=3)
     model.append(Seeds.isotropic(torch.zeros(2, 3), torch.full((2, 3), 0.5), torch.ones(2)))
     before = dataclasses.replace(model.params, **{n: getattr(model.params, n).clone() for n in PARAMETERS})
-    adam_step(model, constant_gradients(model.params), OptimConfig(adam_steps=mode))
+    config = OptimConfig(
+        adam_steps=mode,
+        lr_xyz=1.6e-4,
+        lr_sh_dc=2.5e-3,
+        lr_sh_rest=1.25e-4,
+        lr_log_scale=1e-3,
+        lr_quat=2e-3,
+        lr_opacity_logit=5e-2,
+    )
+    adam_step(model, constant_gradients(model.params), config)
     moved = {n: (getattr(before, n) - getattr(model.params, n)) for n in PARAMETERS}
-    expected = {"xyz_W": 1.6e-4, "log_scale": 1e-3, "quat": 1e-3, "opacity_logit": 5e-2}
+    expected = {"xyz_W": 1.6e-4, "log_scale": 1e-3, "quat": 2e-3, "opacity_logit": 5e-2}
     for name, lr in expected.items():
         torch.testing.assert_close(moved[name], torch.full_like(moved[name], lr * multiple), rtol=1e-3, atol=1e-7)
     torch.testing.assert_close(moved["sh"][:, 0], torch.full((2, 3), 2.5e-3 * multiple), rtol=1e-3, atol=1e-7)
@@ -114,7 +123,7 @@ def test_each_group_moves_at_its_own_rate(mode, multiple):
 
 
 def test_late_rows_in_a_shared_model(generator):
-    config = OptimConfig(adam_steps="shared")
+    config = OptimConfig(adam_steps="shared", lr_opacity_logit=5e-2)
     model = GaussianModel(sh_degree=0)
     one = Seeds.isotropic(torch.zeros(1, 3), torch.full((1, 3), 0.5), torch.ones(1))
     model.append(one)
