@@ -1,11 +1,13 @@
 """Cameras with lens distortion: removing it, and registering depth to the colour of another camera."""
 
+import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..geometry import depth_to_points, project, se3
@@ -18,6 +20,12 @@ TIE = 1e-3
 chosen."""
 SAME_PX = 0.05
 """Two cameras whose rays meet the image border within this distance, in pixels, count as equal."""
+LARGEST_FOOTPRINT_PX = 64
+"""A pixel of depth that would cover more pixels of the other camera across, because it is almost in that camera's image
+plane, is a point."""
+SEAM_PX = 0.25
+"""Slanted surfaces come apart between two pixels of depth, by less than this in the other image. A seam is filled from
+both sides."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,7 @@ class CameraModel:
         """
         if (self.camera.width, self.camera.height) == (width, height):
             return self
-        if abs(width * self.camera.height - height * self.camera.width) > max(width, height):
+        if not same_proportions((width, height), (self.camera.width, self.camera.height)):
             raise SequenceError(
                 f"{source} is {width}x{height}, but its camera is {self.camera.width}x{self.camera.height}, of other "
                 "proportions; give the intrinsics of the images as they are"
@@ -73,6 +81,13 @@ class CameraModel:
         except ValueError as e:
             numbers = " ".join(f"{value:g}" for value in self.distortion)
             raise ValueError(f"the distortion {numbers} cannot be removed by a pinhole camera: {e}") from None
+
+
+def same_proportions(first: tuple[int, int], second: tuple[int, int]) -> bool:
+    """Whether two sizes, width and height, can be those of one view: resized, they differ by less than a pixel of the
+    smaller one."""
+    difference = abs(first[0] * second[1] - first[1] * second[0])
+    return difference <= max(*first, *second)
 
 
 def same_rays(model: CameraModel, camera: Camera) -> bool:
@@ -120,8 +135,8 @@ def warp_depth(
 ) -> Float[Tensor, "h w"]:
     """Depth as ``target`` sees it: every point is moved to its pixel there; if several meet, the nearest is kept.
 
-    One source pixel fills one target pixel, so the target may have holes where its resolution is higher; they are not
-    filled.
+    One source pixel fills one target pixel, as it is right for two views of one camera. A target of a higher resolution
+    would have holes (``register_depth``).
 
     Args:
         depth_m: z-depth, metres, 0 = missing. [H, W]
@@ -142,6 +157,93 @@ def warp_depth(
     out = torch.full((target.height * target.width,), torch.inf, dtype=depth_m.dtype, device=depth_m.device)
     out.scatter_reduce_(0, uv[:, 1] * target.width + uv[:, 0], z, reduce="amin")
     return out.where(out.isfinite(), torch.zeros_like(out)).reshape(target.height, target.width)
+
+
+def register_depth(
+    depth_m: Float[Tensor, "H W"], source: Camera, target: Camera, T_target_source: Float[Tensor, "4 4"]
+) -> Float[Tensor, "h w"]:
+    """Depth as a camera of another resolution sees it, without the holes that single points would leave.
+
+    Every pixel of depth is a small plane parallel to its image. It fills the pixels of ``target`` whose centres its
+    outline covers there, and the one that its own centre falls into. Where several meet, the nearest is kept. Pixels
+    that are left in a seam take the nearest of the outlines beside it. So a lower resolution of depth gives blocks, and
+    no depth is interpolated; librealsense fills in the same way when it aligns depth to colour.
+
+    Args:
+        depth_m: z-depth, metres, 0 = missing. [H, W]
+        source: Camera of ``depth_m``.
+        target: Camera to register to.
+        T_target_source: Rigid transform from the source camera's frame to the target camera's.
+
+    Returns:
+        z-depth in the target camera, metres, 0 = missing. [h, w]
+
+    Differentiable: no.
+    """
+    T = T_target_source.to(depth_m.dtype)
+    known = depth_m > 0
+    P = se3.apply(T, depth_to_points(source, depth_m)[known])
+    half_right = T[:3, 0] * (0.5 * depth_m[known] / source.fx)[:, None]
+    half_down = T[:3, 1] * (0.5 * depth_m[known] / source.fy)[:, None]
+    ahead = P[:, 2] > 0
+    P, half_right, half_down = P[ahead], half_right[ahead], half_down[ahead]
+    outline = _Outline(
+        uv=project(target, P),
+        right=project(target, P + half_right) - project(target, P - half_right),
+        down=project(target, P + half_down) - project(target, P - half_down),
+        is_point=P[:, 2] <= half_right[:, 2].abs() + half_down[:, 2].abs(),
+    )
+    filled = _nearest_of(outline.covered(TIE), P[:, 2], target)
+    seams = _nearest_of(outline.covered(SEAM_PX), P[:, 2], target)
+    return torch.where(filled > 0, filled, seams)
+
+
+def _nearest_of(
+    covered: Iterable[tuple[Int[Tensor, " K"], Int[Tensor, "K 2"]]], z: Float[Tensor, " N"], target: Camera
+) -> Float[Tensor, "h w"]:
+    """Smallest ``z`` of the rows that cover each pixel of ``target``; 0 where none does."""
+    out = z.new_full((target.height * target.width,), torch.inf)
+    for rows, pixels in covered:
+        inside = ((pixels >= 0) & (pixels < pixels.new_tensor([target.width, target.height]))).all(dim=1)
+        u, v = pixels[inside].unbind(dim=1)
+        out.scatter_reduce_(0, v * target.width + u, z[rows[inside]], reduce="amin")
+    return out.where(out.isfinite(), torch.zeros_like(out)).reshape(target.height, target.width)
+
+
+@dataclass(frozen=True, eq=False)
+class _Outline:
+    """Pixels of one camera as parallelograms in the image of another."""
+
+    uv: Float[Tensor, "N 2"]
+    """Their centres there."""
+    right: Float[Tensor, "N 2"]
+    down: Float[Tensor, "N 2"]
+    """Their sides there."""
+    is_point: Bool[Tensor, " N"]
+    """They are so near that the sides are unknown."""
+
+    def covered(self, margin_px: float) -> Iterator[tuple[Int[Tensor, " K"], Int[Tensor, "K 2"]]]:
+        """Rows, and a pixel of the other camera that each of them covers, or misses by less than the margin; each pixel
+        of a row once."""
+        pixel = self.uv.floor()
+        yield torch.arange(len(pixel), device=pixel.device), pixel.long()
+        reach = 0.5 * (self.right.abs() + self.down.abs()) + margin_px
+        known = ~self.is_point & (reach <= LARGEST_FOOTPRINT_PX / 2).all(dim=1)
+        steps = torch.ceil(reach[known] - 0.5).amax(dim=0).long().tolist() if bool(known.any()) else (0, 0)
+        for du, dv in itertools.product(*(range(-n, n + 1) for n in steps)):
+            away = pixel + pixel.new_tensor([du + 0.5, dv + 0.5]) - self.uv
+            rows = (known & (away.abs() <= reach).all(dim=1)).nonzero()[:, 0]
+            if (du, dv) == (0, 0) or not len(rows):
+                continue
+            away, right, down = away[rows], self.right[rows], self.down[rows]
+            area = _cross(right, down).abs()
+            fills = _cross(away, down).abs() <= 0.5 * area + margin_px * down.norm(dim=1)
+            fills &= _cross(right, away).abs() <= 0.5 * area + margin_px * right.norm(dim=1)
+            yield rows[fills], (pixel[rows[fills]] + pixel.new_tensor([du, dv])).long()
+
+
+def _cross(a: Float[Tensor, "N 2"], b: Float[Tensor, "N 2"]) -> Float[Tensor, " N"]:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 class Undistorter:

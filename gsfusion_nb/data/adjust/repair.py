@@ -18,7 +18,7 @@ from torch import Tensor
 from ...config import DataConfig, RepairConfig
 from ...geometry import pixel_grid, rays, se3
 from ...types import Camera, Frame
-from ..lens import warp_depth
+from ..lens import same_proportions, warp_depth
 from ..recorded.images import read_depth
 from ..recorded.recorded_sequence import RecordedSequence
 from ..recorded.times import associate
@@ -199,6 +199,12 @@ def _fitted(source: RecordedSequence) -> RecordedSequence:
             height, width = read_depth(file, scale=source.depth_scale).shape
         except BadFrameError:
             continue
+        size = (source.camera.width, source.camera.height)
+        if not same_proportions((width, height), size):
+            raise SequenceError(
+                f"{file} is {width}x{height}, but the intrinsics are for {size[0]}x{size[1]}, of other proportions; "
+                "repair.fit_sizes is for images of one view"
+            )
         return dataclasses.replace(source, camera=source.camera.resized(width, height), fit_sizes=True)
     raise SequenceError(f"{source.name}: none of its depth images can be read; expected one, whose size is used")
 

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...data.adjust.poses import raw_matrices
+from ...data.lens import same_proportions
 from ...data.recorded.images import read_depth, read_rgb
 from ...data.recorded.poses import MAX_RIGIDITY_ERROR
 from ...data.recorded.recorded_sequence import RecordedSequence
@@ -54,6 +55,10 @@ def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
     if len(set(sizes.values())) == 1:
         return RepairConfig(), Finding("image size", "ok", f"All have {expected[0]}x{expected[1]} pixels.")
     text = f"The sizes differ: {', '.join(f'{name} {w}x{h}' for name, (w, h) in sizes.items())}."
+    if not all(same_proportions(size, expected) for size in sizes.values()):
+        flags = "write colour, depth and intrinsics of one view (gsfusion-nb convert registers depth)"
+        text += " They have other proportions, so they are not one view at several resolutions."
+        return RepairConfig(), Finding("image size", "wrong", text, repair=flags)
     repair = RepairConfig(fit_sizes=source.rectify is None)
     flags = repair.flags or "write intrinsics for the size of the images"
     return repair, Finding("image size", "wrong", text, repair=flags)

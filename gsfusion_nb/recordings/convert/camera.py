@@ -1,22 +1,18 @@
-"""Camera intrinsics from numbers, matrices and JSON; and converting images to the one camera of a sequence."""
+"""Camera intrinsics from numbers, matrices and JSON."""
 
 import math
 import re
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import torch
 
 from ...checks import shown
-from ...data.adjust.resize import resize_colour
-from ...data.lens import TIE, CameraModel, pixel_map, same_rays, warp_depth, z_of_range
+from ...data.lens import CameraModel
 from ...data.sequence import SequenceError
 from ...files import parsing, read_object, read_text, refusing
 from ...types import Camera
-from .recording import RecordedFrame, RgbdImages, read_array
+from .recording import read_array
 from .trajectory import read_numbers
 
 _PINHOLE = ("fx", "fy", "cx", "cy")
@@ -111,53 +107,3 @@ def model_of_object(values: dict[str, Any], size: tuple[int, int] | None, source
         distortion = tuple(float(values.get(k, 0.0)) for k in ("k1", "k2", "p1", "p2", "k3"))
         centre = float(values.get("pixel_centre", centre))
     return model_of(pinhole, size, source, centre=centre, distortion=distortion)
-
-
-_map = lru_cache(maxsize=4)(pixel_map)
-"""A recording with another focal length in every frame makes as many maps as frames; few are kept."""
-
-
-class Rectifier:
-    """Converts colour and depth to what ``camera`` would see.
-
-    Colour is undistorted at its own size (interpolated), then averaged down. Depth is taken from the nearest pixel and
-    never interpolated; if the depth camera is at another place, every point is moved to its pixel (``warp_depth``).
-    """
-
-    def __init__(self, camera: Camera, *, along_ray: bool = False):
-        self.camera = camera
-        self._along_ray = along_ray
-
-    def __call__(self, frame: RecordedFrame, model: CameraModel, images: RgbdImages) -> RgbdImages:
-        """The images of ``frame``, taken by ``model``. ``encoded`` is empty unless colour is unchanged."""
-        height, width = images.rgb.shape[:2]
-        model = model.fitted(width, height, frame.source)
-        rgb = self._colour(images.rgb, model)
-        depth_m = self._depth(images.depth_m, model, frame)
-        return RgbdImages(rgb, depth_m, images.encoded if rgb is images.rgb else b"")
-
-    def _colour(self, rgb: np.ndarray, model: CameraModel) -> np.ndarray:
-        native = self.camera.resized(model.camera.width, model.camera.height)
-        if not same_rays(model, native):
-            rgb = cv2.remap(rgb, *_map(model, native), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return resize_colour(rgb, self.camera.width, self.camera.height)
-
-    def _depth(self, depth_m: np.ndarray, colour: CameraModel, frame: RecordedFrame) -> np.ndarray:
-        height, width = depth_m.shape
-        if frame.depth_model is None:
-            model = colour.resized(width, height)
-        else:
-            model = frame.depth_model.fitted(width, height, f"the depth of {frame.source}")
-        if self._along_ray:
-            depth_m = z_of_range(depth_m, model)
-        if frame.T_colour_depth is None:
-            return self._nearest(depth_m, model, self.camera)
-        pinhole = model.pinhole()
-        flat = torch.from_numpy(self._nearest(depth_m, model, pinhole))
-        return warp_depth(flat, pinhole, self.camera, frame.T_colour_depth).numpy()
-
-    def _nearest(self, depth_m: np.ndarray, model: CameraModel, camera: Camera) -> np.ndarray:
-        if same_rays(model, camera):
-            return depth_m
-        u, v = _map(model, camera)
-        return cv2.remap(depth_m, u - np.float32(TIE), v - np.float32(TIE), cv2.INTER_NEAREST, borderValue=0)

@@ -84,6 +84,12 @@ class ConvertOptions(Settings):
     intrinsics: str = ""
     """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", the focal length alone, or a
     file with these numbers, a matrix, or JSON. "estimate" measures the focal length of a folder of images."""
+    depth_intrinsics: str = ""
+    """Intrinsics of the depth images, given as those of colour are, where depth is that of another camera and the
+    recording does not say so. "colour": depth is registered to colour, whatever the recording says."""
+    T_colour_depth: str = ""
+    """File of 16 numbers: from the depth camera's frame to the colour camera's. Without it what the recording says,
+    or both are at one place."""
     pixel_centre: float = 0.0
     """Coordinate of the first pixel's centre in these intrinsics: 0 as in OpenCV and ROS, 0.5 as in COLMAP."""
     width: int = within(0, 0)
@@ -107,6 +113,8 @@ class ConvertOptions(Settings):
             raise SequenceError(f"pixel_centre must be 0.0 or 0.5, got {self.pixel_centre}")
         if self.T_cam_body and self.T_body_cam:
             raise SequenceError("give T_cam_body or its inverse T_body_cam, not both")
+        if self.T_colour_depth and self.depth_intrinsics == "colour":
+            raise SequenceError("give T_colour_depth, or say that depth is registered to colour, not both")
 
 
 @dataclass(frozen=True, eq=False)

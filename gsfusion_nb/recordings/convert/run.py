@@ -20,10 +20,11 @@ from ...data.sequence import BadFrameError, SequenceError
 from ...files import atomic_folder, parsing
 from ...types import Camera
 from ...work import ProgressDisplay
-from .camera import Rectifier, read_intrinsics
+from .camera import read_intrinsics
 from .formats import FORMATS, detect_format
 from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording, RgbdImages
-from .trajectory import FramePoses
+from .rectifier import Rectifier
+from .trajectory import FramePoses, read_matrix
 
 MILLIMETRES = 1000.0
 _FINEST, _COARSEST = 20000.0, 200.0
@@ -121,6 +122,7 @@ class _Conversion:
     def __init__(self, recording: Recording, options: ConvertOptions, folder: Path):
         self._recording, self._options, self._folder = recording, options, folder
         self._poses = FramePoses(recording, options)
+        self._T_colour_depth = read_matrix(Path(options.T_colour_depth)) if options.T_colour_depth else None
         scale = options.depth_scale or recording.depth_scale
         self._depth_scale = scale if _COARSEST <= scale <= _FINEST else MILLIMETRES
         self._rectifier: Rectifier | None = None
@@ -240,6 +242,7 @@ class _Conversion:
     def _rectified(self, frame: RecordedFrame, images: RgbdImages) -> RgbdImages:
         height, width = images.rgb.shape[:2]
         model = self._model(frame, (width, height))
+        frame = self._with_depth_camera(frame, images.depth_m.shape)
         if self._rectifier is None:
             pinhole = model.fitted(width, height, frame.source).pinhole()
             h, w = images.depth_m.shape
@@ -253,6 +256,16 @@ class _Conversion:
             camera = resized_camera(pinhole, *size)
             self._rectifier = Rectifier(camera, along_ray=self._recording.depth_along_ray)
         return self._rectifier(frame, model, images)
+
+    def _with_depth_camera(self, frame: RecordedFrame, shape: tuple[int, ...]) -> RecordedFrame:
+        """The frame with the depth camera of the options, where they give one."""
+        given, T = self._options.depth_intrinsics, self._T_colour_depth
+        if given == "colour":
+            return dataclasses.replace(frame, depth_model=None, T_colour_depth=None)
+        if given:
+            model = read_intrinsics(given, (shape[1], shape[0]), centre=self._options.pixel_centre)
+            frame = dataclasses.replace(frame, depth_model=model)
+        return frame if T is None else dataclasses.replace(frame, T_colour_depth=T)
 
     def _model(self, frame: RecordedFrame, size: tuple[int, int]) -> CameraModel:
         if self._options.intrinsics not in ("", "estimate"):

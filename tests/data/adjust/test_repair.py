@@ -162,6 +162,14 @@ def test_sizes_are_fitted_to_depth(tmp_path, box):
     assert box.off_wall_m(frame) < 0.002
 
 
+def test_depth_of_another_view_is_not_fitted(tmp_path, box):
+    root = box.folder(tmp_path, n=2)
+    for f in (root / "depth").iterdir():
+        cv2.imwrite(str(f), np.full((48, 48), 1000, np.uint16))
+    with pytest.raises(SequenceError, match=r"48x48, but the intrinsics are for 64x48, of other proportions"):
+        open_sequence(root, data=DataConfig(repair=RepairConfig(fit_sizes=True)))
+
+
 def test_frames_left_out_keep_their_numbers(tmp_path, box):
     root = box.folder(tmp_path, n=6)
     view = open_sequence(root, data=DataConfig(repair=RepairConfig(skip=(0, 3)), hold_out_every=2, hold_out_offset=0))

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -10,13 +11,23 @@ from gsfusion_nb.config import RepairConfig
 from gsfusion_nb.data import folder
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.checkup.frames import OverFrames, exposure_finding
-from gsfusion_nb.recordings.checkup.stored_values import pose_matrices, time_stamps
+from gsfusion_nb.recordings.checkup.stored_values import image_size, pose_matrices, time_stamps
 
 
 @pytest.fixture
 def poses(generator):
     """Ten rigid transforms."""
     return se3.exp(torch.randn(10, 6, generator=generator, dtype=torch.float64))
+
+
+def test_depth_of_another_view_has_no_repair_by_size(tmp_path, box):
+    root = box.folder(tmp_path, n=2)
+    for file in (root / "depth").iterdir():
+        cv2.imwrite(str(file), np.full((48, 48), 1000, np.uint16))
+    repair, finding = image_size(folder(root))
+    assert repair == RepairConfig()
+    assert finding.verdict == "wrong"
+    assert "other proportions, so they are not one view" in finding.sentence
 
 
 def test_rigid_matrices_are_left_alone(poses):

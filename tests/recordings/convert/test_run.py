@@ -5,11 +5,15 @@ import json
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.data import SequenceError, folder
+from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.convert import ConvertOptions, convert
+from gsfusion_nb.recordings.convert.recording import OptionNeeded
 from gsfusion_nb.recordings.convert.run import _Conversion
+from gsfusion_nb.types import Camera
 
 
 @pytest.fixture
@@ -133,6 +137,49 @@ def test_other_proportions_are_refused(tmp_path, takes, scan):
     )
     with pytest.raises(SequenceError, match=r"0\.png is 60x44, but its camera is 640x360, of other proportions"):
         convert(scan, tmp_path / "out")
+
+
+@pytest.fixture
+def unregistered(tmp_path, takes, scan, box):
+    """The scan with depth of a square camera 30 mm beside colour, and that camera's file of a transform."""
+    depth_camera = Camera(width=40, height=40, fx=25.0, fy=25.0, cx=20.5, cy=19.5)
+    T_colour_depth = se3.exp(torch.tensor([0.03, 0.0, 0.0, 0.0, 0.02, 0.0], dtype=torch.float64))
+    for i, T in enumerate(box.poses(4)):
+        rgb = cv2.imencode(".png", box.render(T, takes.camera)[0][..., ::-1])[1].tobytes()
+        takes.write(scan / f"color/{i}.png", rgb)
+        depth_m = box.render(T @ T_colour_depth, depth_camera)[1]
+        depth = cv2.imencode(".png", np.rint(1000 * depth_m).astype(np.uint16))[1].tobytes()
+        takes.write(scan / f"depth/{i}.png", depth)
+    blocks = [f"{i} {i} {i + 1}\n" + "\n".join(" ".join(map(repr, r)) for r in T.tolist()) for i, T in
+              enumerate(box.poses(4))]  # fmt: skip
+    (scan / "trajectory.log").write_text("\n".join([*blocks, ""]))
+    transform = tmp_path / "T.txt"
+    transform.write_text(" ".join(map(repr, T_colour_depth.flatten().tolist())))
+    return scan, depth_camera, transform
+
+
+def test_depth_of_other_proportions_is_not_stretched_but_asked_for(tmp_path, unregistered):
+    scan, _, _ = unregistered
+    with pytest.raises(OptionNeeded, match=r"depth is 40x40 and colour 60x44, .*--depth-intrinsics") as asked:
+        convert(scan, tmp_path / "out")
+    assert asked.value.option == "depth_intrinsics"
+    assert not (tmp_path / "out").exists()
+
+
+def test_depth_of_another_camera_is_registered_with_its_intrinsics_and_place(tmp_path, unregistered, box):
+    scan, c, transform = unregistered
+    given = ConvertOptions(depth_intrinsics=f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}", T_colour_depth=str(transform))
+    convert(scan, tmp_path / "out", options=given)
+    for frame in folder(tmp_path / "out"):
+        assert float((frame.depth_m > 0).float().mean()) > 0.95
+        assert box.off_wall_m(frame) < 0.02
+    with pytest.raises(SequenceError, match="not both"):
+        ConvertOptions(depth_intrinsics="colour", T_colour_depth=str(transform))
+
+
+def test_depth_said_to_be_registered_keeps_its_proportions_too(tmp_path, unregistered):
+    with pytest.raises(SequenceError, match="other proportions"):
+        convert(unregistered[0], tmp_path / "out", options=ConvertOptions(depth_intrinsics="colour"))
 
 
 def test_command(tmp_path, takes, scan, capsys):
