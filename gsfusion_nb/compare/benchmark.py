@@ -17,9 +17,11 @@ from ..data.recorded.files import missing
 from ..files import SequenceError, write_file
 from ..mapping import SYSTEMS, get_system
 from .command import run_and_write
+from .equal_maps import equal_maps, unknown_maps
+from .scene_units import scene_units, shared_frames
 from .schedule import flat_settings
 from .spec import RunResult, RunSpec
-from .statistics import group_runs
+from .statistics import group_runs, over_units
 from .studies import RecordingOptions, recording_specs
 
 DEEPEST = 3
@@ -142,10 +144,13 @@ def report(asked: DataSet, results: Sequence[RunResult], changed: Mapping[str, A
     """
     heads = ["system", *(heading for heading, *_ in COLUMNS.values()), "source"]
     rows, cards = [], []
+    units = scene_units(results)
     for label in dict.fromkeys(r.spec.label for r in results):
         own = [r for r in results if r.spec.label == label and r.status == "done"]
         if own:
-            rows.append([f"**{label}, here**", *_cells(_means(own, asked.views)), f"{_count(own, asked)} scenes"])
+            rows.append(
+                [f"**{label}, here**", *_cells(_means(own, asked.views, units)), f"{_count(own, asked)} scenes"]
+            )
             cards.append(_card(label, own, asked, changed))
     rows += [[row["system"], *_cells(row["numbers"]), row["source"]] for row in asked.published]
     here = {r.spec.scene for r in results}
@@ -153,16 +158,17 @@ def report(asked: DataSet, results: Sequence[RunResult], changed: Mapping[str, A
     said = [*asked.protocol, *([f"Scenes of the papers that are not here: {', '.join(absent)}."] if absent else [])]
     failed = [f"{r.spec.label} failed on {r.spec.scene}: {r.reason}" for r in results if r.status == "failed"]
     table = [f"| {' | '.join(row)} |" for row in (heads, ["---", *["---:"] * len(COLUMNS), "---"], *rows)]
-    listed = [f"- {sentence}" for sentence in (*said, *cards, *unread, *failed)]
+    seeming = [*map(str, equal_maps(results)), *unknown_maps(results), *shared_frames(units)]
+    listed = [f"- {sentence}" for sentence in (*said, *cards, *seeming, *unread, *failed)]
     return "\n".join([f"# {asked.title}", "", *table, "", *listed, ""])
 
 
-def _means(own: Sequence[RunResult], views: str) -> dict[str, float]:
-    """Column -> mean over the scenes of the mean over the seeds."""
+def _means(own: Sequence[RunResult], views: str, units: Mapping[str, str]) -> dict[str, float]:
+    """Column -> mean over the scenes of the mean over the seeds; scenes of one unit count as one."""
     found = {}
     for column, (_, _, metric, scale) in COLUMNS.items():
-        summaries = [group.summary(metric.format(views)) for group in group_runs(own)]
-        means = [summary.mean for summary in summaries if summary.n]
+        summaries = {group.scene: group.summary(metric.format(views)) for group in group_runs(own)}
+        means = over_units({scene: s.mean for scene, s in summaries.items() if s.n}, units)
         if means:
             found[column] = scale * sum(means) / len(means)
     return found

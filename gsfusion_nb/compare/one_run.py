@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..data import sequence_fingerprint
+from ..data import frame_fingerprints, sequence_fingerprint
 from ..drawing.pictures import encode_png
 from ..evaluation import NotComputed, frame_rates
 from ..evaluation.image import lpips_unavailable
@@ -109,6 +109,7 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
         notes=mapped.notes,
         map_hash=hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest(),
         data_hash=content,
+        frames=frame_fingerprints(run.sequence),
         rule_source=entry.spec.rule_source or rule_source(entry.found_rule()),
         versions=versions(),
         pictures=_pictures(entry, mapped, views["held_out"], folder, content) if folder is not None else {},

@@ -15,12 +15,24 @@ from ..drawing.curves import figure_picture
 from ..drawing.page import fill
 from ..drawing.pictures import data_uri
 from ..files import atomic_file, plain_cell, write_file
+from .equal_maps import EqualMaps, equal_maps
 from .map_scene import budgeted
 from .page import figure_of, page_html
 from .run_all import ResultStore
+from .scene_units import scene_units, shared_frames
 from .schedule import flat_settings
 from .spec import RunResult, RunSpec, package_fingerprint
-from .statistics import COLUMNS, Group, Summary, against_reference, by_budget, group_runs, standings, summarise
+from .statistics import (
+    COLUMNS,
+    Group,
+    Summary,
+    against_reference,
+    by_budget,
+    group_runs,
+    over_units,
+    standings,
+    summarise,
+)
 from .tables import ResultTable, all_tables, as_markdown, failures
 
 if TYPE_CHECKING:
@@ -104,7 +116,7 @@ class Results:
             "table.json": json.dumps(self.as_json(), indent=1, allow_nan=False),
         }
         if pictures:
-            texts["page.html"] = page_html(self.store.folder, self.runs, self.tables())
+            texts["page.html"] = page_html(self.store.folder, self.runs, self.tables(), self.warnings())
         for name, text in texts.items():
             write_file(folder / name, text)
         figures = ("pareto.pdf", "pareto.png") if pictures else ()
@@ -113,11 +125,19 @@ class Results:
                 self.figure().savefig(temporary, dpi=150)
         return [folder / name for name in (*texts, *figures)]
 
+    def warnings(self) -> list[str]:
+        """What makes rows or scenes fewer than they seem: rows with equal maps, scenes that share frames."""
+        return [*map(str, equal_maps(self.runs)), *shared_frames(scene_units(self.runs))]
+
     def _as_markdown(self) -> str:
         """All tables, the comparisons with the reference, and the runs that failed."""
         parts = ["# Results", *map(as_markdown, self.tables())]
         if copied := sum(bool(r.copied_from) for r in self.runs):
             parts.append(f"{copied} of {len(self.runs)} runs were copied from the cache: copied_from in runs.csv.")
+        if warnings := self.warnings():
+            parts.append(
+                "\n".join(["### Rows or scenes that are the same", "", *(f"- {warning}" for warning in warnings)])
+            )
         for budget in dict.fromkeys(str(r.spec.budget) for r in self.runs):
             if tests := against_reference(self.runs, budget, self.about.reference):
                 parts.append("\n".join([f"### More than noise? {budget}", "", *(f"- {test}" for test in tests)]))
@@ -132,6 +152,8 @@ class Results:
         ``budgets`` has an entry for each budget, and its ``rows`` one for each rule, in the order of the table:
         ``metrics`` has for each number the mean over the scenes, their standard deviation and number, ``scenes`` the
         mean, standard deviation and number of the seeds on each scene, ``test`` the comparison with the reference.
+        ``units`` are the scenes that are independent, as lists of those that share frames, and ``equal_maps`` the rows
+        whose maps are equal.
         """
         done = [r for r in self.runs if r.status == "done"]
         return {
@@ -148,17 +170,18 @@ class Results:
 
     def _budget_json(self, groups: Sequence[Group]) -> dict[str, Any]:
         budget, scenes = groups[0].budget, list(dict.fromkeys(g.scene for g in groups))
+        units = scene_units(self.runs)
         tests = against_reference(self.runs, budget, self.about.reference)
         against = {test.b: test for test in tests}
         rows = []
-        for standing in standings(groups):
+        for standing in standings(groups, units):
             own = {g.scene: g for g in groups if g.label == standing.label}
-            means = {m: [s.mean for g in own.values() if (s := g.summary(m)).n] for m in COLUMNS}
+            means = {m: {name: s.mean for name, g in own.items() if (s := g.summary(m)).n} for m in COLUMNS}
             test = against.get(standing.label)
             rows.append({
                 "rule": standing.label,
                 "rank": _number(standing.rank),
-                "metrics": {m: _summary(summarise(of)) for m, of in means.items() if of},
+                "metrics": {m: _summary(summarise(over_units(of, units))) for m, of in means.items() if of},
                 "scenes": {
                     scene: {m: _summary(s) for m in COLUMNS if (s := group.summary(m)).n}
                     for scene, group in own.items()
@@ -170,7 +193,14 @@ class Results:
                     "n": len(test.units), "verdict": test.verdict,
                 },
             })  # fmt: skip
-        return {"budget": budget, "scenes": scenes, "reference": tests[0].a if tests else "", "rows": rows}
+        of_unit: dict[str, list[str]] = {}
+        for scene in scenes:
+            of_unit.setdefault(units[scene], []).append(scene)
+        return {
+            "budget": budget, "scenes": scenes, "units": list(of_unit.values()),
+            "reference": tests[0].a if tests else "", "rows": rows,
+            "equal_maps": [_equal_json(e) for e in equal_maps(self.runs) if e.budget == budget],
+        }  # fmt: skip
 
     def __repr__(self) -> str:
         lines = [f"{label} did not run: {reason}" for label, _, _, _, reason in failures(self.runs)]
@@ -182,14 +212,34 @@ class Results:
 
 
 def as_csv(results: Sequence[RunResult]) -> str:
-    """A table with a row for each run: what it was, its numbers, how it was tuned, hashes, and all settings."""
-    rows = [_row(result) for result in results]
+    """A table with a row for each run: what it was, its numbers, how it was tuned, hashes, and all settings.
+
+    ``same_map_as`` has the labels of the rows that made the same map, and ``unit`` the scenes that count as one with
+    that of the row.
+    """
+    units, equal = scene_units(results), equal_maps(results)
+    rows = [
+        {**_row(result), "same_map_as": _same_map_as(result, equal), "unit": units[result.spec.scene]}
+        for result in results
+    ]
     columns = list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, sorted(columns, key=_group), lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
     return text.getvalue()
+
+
+def _same_map_as(result: RunResult, equal: Sequence[EqualMaps]) -> str:
+    """Labels of the other rows with the map of ``result``."""
+    spec = result.spec
+    here = (e for e in equal if e.budget == str(spec.budget) and (spec.scene, spec.seed) in e.places)
+    return "; ".join(label for e in here if spec.label in e.labels for label in e.labels if label != spec.label)
+
+
+def _equal_json(equal: EqualMaps) -> dict[str, Any]:
+    places = [{"scene": scene, "seed": seed} for scene, seed in equal.places]
+    return {"rules": list(equal.labels), "places": places}
 
 
 def _group(column: str) -> int:

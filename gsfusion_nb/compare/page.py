@@ -16,6 +16,7 @@ from ..data.recorded.images import decode_rgb, read_image_bytes
 from ..drawing.curves import GRID, INK, MUTED, PAPER
 from ..drawing.page import ColourBar, PageGraph, fill
 from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, error_map, fit_width
+from .scene_units import scene_units
 from .spec import RunResult
 from .statistics import COLUMNS, FIRST_METRIC, Group, compare, corrected, group_runs
 from .tables import ResultTable, failures
@@ -138,13 +139,16 @@ def _read(path: Path) -> Picture:
     return np.ascontiguousarray(decode_rgb(read_image_bytes(path, "colour"), path))
 
 
-def page_html(folder: Path | str, results: Sequence[RunResult], tables: Sequence[ResultTable]) -> str:
+def page_html(
+    folder: Path | str, results: Sequence[RunResult], tables: Sequence[ResultTable], warnings: Sequence[str] = ()
+) -> str:
     """The page as HTML text; it loads nothing and works from a file.
 
     Args:
         folder: Where the file names of ``RunResult.pictures`` are looked up.
         results: All runs, also those that failed.
         tables: Of these runs.
+        warnings: Sentences above the tables.
     """
     groups, pictures, copied = group_runs(results), {}, sum(bool(run.copied_from) for run in results)
     shots = [_shots(group, Path(folder), pictures) for group in groups]
@@ -160,6 +164,7 @@ def page_html(folder: Path | str, results: Sequence[RunResult], tables: Sequence
         tables=tables,
         graphs=[graph],
         failures=failures(results),
+        warnings=warnings,
         error_bar=ColourBar(colours=ERROR_COLOURS, low="no error", high=f"{ERROR_LIMIT:.0%} or more"),
         data=data,
     )
@@ -184,9 +189,9 @@ def _shots(group: Group, folder: Path, pictures: dict[str, int]) -> dict[str, An
 
 def _pair_sentences(results: Sequence[RunResult]) -> list[tuple[str, str, str, str]]:
     """Budget, two rules, and what the test says about them, corrected for all pairs of rules."""
-    found = []
+    found, units = [], scene_units(results)
     for budget in dict.fromkeys(str(r.spec.budget) for r in results):
         labels = dict.fromkeys(r.spec.label for r in results if str(r.spec.budget) == budget)
-        pairs = [compare(results, a, b, budget=budget) for a, b in itertools.combinations(labels, 2)]
+        pairs = [compare(results, a, b, budget=budget, units=units) for a, b in itertools.combinations(labels, 2)]
         found += [(budget, c.a, c.b, str(c)) for c in corrected(pairs)]
     return found

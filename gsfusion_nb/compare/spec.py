@@ -6,7 +6,7 @@ import hashlib
 import importlib.util
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -289,6 +289,8 @@ class RunResult:
     """SHA-256 of the maps: equal for maps that are equal bit for bit."""
     data_hash: str = ""
     """Hash of the frames, poses and camera."""
+    frames: Sequence[str] = field(default_factory=list)
+    """``frame_fingerprints`` of the data: scenes with one in common are not independent."""
     rule_source: str = ""
     """Source code of the rule."""
     versions: Mapping[str, str] = field(default_factory=dict)

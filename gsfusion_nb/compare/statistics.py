@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..evaluation.metrics import METRICS
+from .scene_units import scene_units
 
 if TYPE_CHECKING:
     from .spec import RunResult
@@ -151,6 +152,14 @@ def by_budget(groups: Sequence[Group]) -> list[list[Group]]:
     return [[g for g in groups if g.budget == budget] for budget in dict.fromkeys(g.budget for g in groups)]
 
 
+def over_units(by_scene: Mapping[str, float], units: Mapping[str, str]) -> list[float]:
+    """Means over the scenes of each unit, of those in ``by_scene``; NaN where one of them is NaN."""
+    of_unit: dict[str, list[float]] = {}
+    for scene, value in by_scene.items():
+        of_unit.setdefault(units.get(scene, scene), []).append(value)
+    return [float(np.mean(values)) for values in of_unit.values()]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Standing:
     """One rule over all scenes of a comparison, at one budget; NaN if it has no result on one of them."""
@@ -159,29 +168,34 @@ class Standing:
     rank: float
     """Mean over the scenes of the rank by the mean over seeds, 1 is best; ties share the mean of their ranks."""
     over_scenes: Summary
-    """Of the means of the scenes."""
+    """Of the means of the scenes. Scenes that share frames count as one, with the mean over them."""
 
 
-def standings(groups: Sequence[Group]) -> list[Standing]:
+def standings(groups: Sequence[Group], units: Mapping[str, str] | None = None) -> list[Standing]:
     """The rules of one budget, best mean of ``FIRST_METRIC`` over the scenes first; incomplete ones come last.
 
     Means that are equal in the digits of the tables share a rank.
+
+    Args:
+        groups: Of one budget.
+        units: ``scene_units`` of all runs; of those of ``groups`` if None.
     """
     from scipy.stats import rankdata
 
+    units = scene_units(run for group in groups for run in group.runs) if units is None else units
     column, scenes = COLUMNS[FIRST_METRIC], list(dict.fromkeys(group.scene for group in groups))
     labels = list(dict.fromkeys(group.label for group in groups))
-    means = np.full((len(labels), len(scenes)), math.nan)
-    for group in groups:
-        means[labels.index(group.label), scenes.index(group.scene)] = group.summary(FIRST_METRIC).mean
+    found = {(group.label, group.scene): group.summary(FIRST_METRIC).mean for group in groups}
+    rows = [over_units({s: found.get((label, s), math.nan) for s in scenes}, units) for label in labels]
+    means = np.array(rows).reshape(len(labels), -1)
     shown = np.vectorize(column.shown, otypes=[float])(means)
     ranks = rankdata(-shown, axis=0, nan_policy="omit").mean(axis=1) if labels else ()
     nothing = Summary(math.nan, math.nan, 0)
-    found = [
+    standing = [
         Standing(label=label, rank=float(rank), over_scenes=nothing if math.isnan(rank) else summarise(own))
         for label, rank, own in zip(labels, ranks, means.tolist(), strict=True)
     ]
-    return sorted(found, key=lambda s: (math.isnan(s.over_scenes.mean), -s.over_scenes.mean))
+    return sorted(standing, key=lambda s: (math.isnan(s.over_scenes.mean), -s.over_scenes.mean))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +209,13 @@ class Comparison:
     b: str
     metric: str
     differences: dict[str, list[float]]
-    """Scene -> difference of each pair of runs with the same seed and budget."""
+    """Unit (a scene, or several that share frames) -> difference of each pair of runs with the same seed and budget,
+    the mean over the unit's scenes. On a single unit pairs whose maps are equal to those of an earlier one are left
+    out: they are the same observation."""
+    n_pairs: int
+    """Number of pairs of runs."""
+    n_scenes: int
+    """Number of scenes that they are on."""
     mean: float
     """Mean over the units; NaN without a pair."""
     interval: tuple[float, float]
@@ -209,7 +229,7 @@ class Comparison:
 
     @property
     def units(self) -> list[float]:
-        """What is tested: a difference for each scene, the mean over its seeds; on one scene, one for each seed."""
+        """What is tested: a difference for each unit, the mean over its seeds; on a single one, one for each seed."""
         return _units(self.differences)
 
     @property
@@ -226,16 +246,14 @@ class Comparison:
         return "a" if (self.mean > 0) == (better == "higher") else "b"
 
     def __str__(self) -> str:
-        column, n_scenes = COLUMNS[self.metric], len(self.differences)
-        n_pairs = sum(map(len, self.differences.values()))
-        pairs = f"{n_pairs} pairs of runs on {n_scenes} scene{'s' * (n_scenes > 1)}"
+        column = COLUMNS[self.metric]
         if self.verdict == "unknown":
-            return f"{self.a} and {self.b}: nothing can be said about noise from {pairs}; use several scenes"
+            return f"{self.a} and {self.b}: nothing can be said about noise from {self._pairs()}; use several scenes"
         if self.verdict == "equal":
-            return f"{self.a} and {self.b} have the same {column.heading} in {pairs}"
+            return f"{self.a} and {self.b} have the same {column.heading} in {self._pairs()}"
         unit = f" {column.unit}" if column.unit else ""
         low, high = map(column.text, self.interval if self.mean >= 0 else (-self.interval[1], -self.interval[0]))
-        evidence = f"95 % interval {low} to {high}{unit}; {pairs}; paired t test: {p_text(self.p)}"
+        evidence = f"95 % interval {low} to {high}{unit}; {self._pairs()}; paired t test: {p_text(self.p)}"
         if self.n_tests > 1:
             evidence += f", corrected for {self.n_tests} comparisons: {p_text(self.corrected)}"
         size = f"{column.text(abs(self.mean))}{unit} {column.heading}"
@@ -244,44 +262,83 @@ class Comparison:
         winner, loser = (self.a, self.b) if self.verdict == "a" else (self.b, self.a)
         return f"{winner} is better than {loser} by {size}, which is more than noise ({evidence})"
 
+    def _pairs(self) -> str:
+        """How many pairs of runs there are, and why they count as fewer."""
+        n_units, seeds = len(self.differences), sum(map(len, self.differences.values()))
+        words = f"{self.n_pairs} pairs of runs on {self.n_scenes} scene{'s' * (self.n_scenes > 1)}"
+        if n_units < self.n_scenes:
+            words += f", which share frames and count as {n_units}"
+        if n_units == 1 and seeds * self.n_scenes < self.n_pairs:
+            words += f", in which the seeds made {seeds} different pair{'s' * (seeds > 1)} of maps"
+        return words
+
 
 def compare(
-    results: "Iterable[RunResult]", a: str, b: str, *, budget: str | None = None, metric: str = FIRST_METRIC
+    results: "Iterable[RunResult]",
+    a: str,
+    b: str,
+    *,
+    budget: str | None = None,
+    metric: str = FIRST_METRIC,
+    units: Mapping[str, str] | None = None,
 ) -> Comparison:
     """Is the difference between two rules more than noise?
 
     Each run of rule ``a`` is paired with the run of rule ``b`` that has the same scene, seed and budget. The pairs of a
-    scene give one difference, their mean, because seeds change only random draws and share everything else. Student's
-    paired t test (scipy) then has one unit for each scene: it asks whether other scenes of this kind would show the
-    same. On a single scene the seeds are the units, and the answer is about its draws only.
+    scene give one difference, their mean, because seeds change only random draws and share everything else. Scenes that
+    share frames give one together. Student's paired t test (scipy) then has one unit for each scene: it asks whether
+    other scenes of this kind would show the same. On a single scene the seeds are the units, and the answer is about
+    its draws only.
 
     Args:
         results: Runs of the lab; failed runs are left out, together with their partners.
         a, b: Labels of the two rules.
         budget: Only runs with this budget (its text); all by default.
         metric: Name of the number, one of ``COLUMNS``.
+        units: Scene -> unit; ``scene_units`` of ``results`` if None.
 
     Raises:
         KeyError: a label without any run, or an unknown metric.
     """
     COLUMNS[metric]
-    values: dict[str, dict[tuple[str, int, str], float]] = {}
+    results = list(results)
+    units = scene_units(results) if units is None else units
+    of_label: dict[str, dict[tuple[str, str, int], RunResult]] = {}
     for result in results:
         spec, value = result.spec, result.metrics.get(metric, math.nan)
-        own = values.setdefault(spec.label, {})
+        own = of_label.setdefault(spec.label, {})
         if math.isfinite(value) and budget in (None, str(spec.budget)):
-            own[spec.scene, spec.seed, str(spec.budget)] = value
+            own[spec.scene, str(spec.budget), spec.seed] = result
     for label in (a, b):
-        if label not in values:
-            raise KeyError(f"no runs of {label!r}; there are: {', '.join(sorted(values)) or 'none'}")
-    differences: dict[str, list[float]] = {}
-    for place, value in values[a].items():
-        if place in values[b]:
-            differences.setdefault(place[0], []).append(value - values[b][place])
-    units = _units(differences)
-    interval, p = paired_test(units)
-    mean = float(np.mean(units)) if units else math.nan
-    return Comparison(a=a, b=b, metric=metric, differences=differences, mean=mean, interval=interval, p=p)
+        if label not in of_label:
+            raise KeyError(f"no runs of {label!r}; there are: {', '.join(sorted(of_label)) or 'none'}")
+    pairs = {place: (of_a, of_label[b][place]) for place, of_a in of_label[a].items() if place in of_label[b]}
+    differences = _differences(pairs, metric, units)
+    observed = _units(differences)
+    interval, p = paired_test(observed)
+    return Comparison(
+        a=a, b=b, metric=metric, differences=differences, n_pairs=len(pairs), n_scenes=len({s for s, _, _ in pairs}),
+        mean=float(np.mean(observed)) if observed else math.nan, interval=interval, p=p,
+    )  # fmt: skip
+
+
+def _differences(
+    pairs: "Mapping[tuple[str, str, int], tuple[RunResult, RunResult]]", metric: str, units: Mapping[str, str]
+) -> dict[str, list[float]]:
+    """``Comparison.differences`` from the pair of runs of each scene, budget and seed."""
+    by_unit: dict[str, dict[tuple[str, int], list[tuple[RunResult, RunResult]]]] = {}
+    for (scene, budget, seed), pair in pairs.items():
+        by_unit.setdefault(units.get(scene, scene), {}).setdefault((budget, seed), []).append(pair)
+    found: dict[str, list[float]] = {}
+    for unit, by_seed in by_unit.items():
+        of_maps: dict[Any, float] = {}
+        for place, of_scenes in by_seed.items():
+            hashes = tuple((x.spec.scene, x.map_hash, y.map_hash) for x, y in of_scenes)
+            is_known = len(by_unit) == 1 and all(x and y for _, x, y in hashes)
+            difference = float(np.mean([x.metrics[metric] - y.metrics[metric] for x, y in of_scenes]))
+            of_maps.setdefault((place[0], hashes) if is_known else place, difference)
+        found[unit] = list(of_maps.values())
+    return found
 
 
 def against_reference(results: "Sequence[RunResult]", budget: str, reference: str = "") -> list[Comparison]:
@@ -292,12 +349,14 @@ def against_reference(results: "Sequence[RunResult]", budget: str, reference: st
         budget: Text of the budget.
         reference: Label of a rule; by default the first of ``standings``, the best.
     """
+    units = scene_units(results)
     groups = [g for g in group_runs(results) if g.budget == budget]
-    labels = [s.label for s in standings(groups) if any(g.runs for g in groups if g.label == s.label)]
+    labels = [s.label for s in standings(groups, units) if any(g.runs for g in groups if g.label == s.label)]
     reference = reference or next(iter(labels), "")
     if reference not in labels:
         return []
-    return corrected([compare(results, reference, other, budget=budget) for other in labels if other != reference])
+    others = [label for label in labels if label != reference]
+    return corrected([compare(results, reference, other, budget=budget, units=units) for other in others])
 
 
 def corrected(comparisons: Sequence[Comparison]) -> list[Comparison]:

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from .equal_maps import equal_maps, unknown_maps
+from .scene_units import scene_units, shared_frames
 from .statistics import (
     COLUMNS,
     FIRST_METRIC,
@@ -79,11 +81,12 @@ def all_tables(
         tuned_on: Label of a rule -> the scenes that its values were chosen on.
     """
     tables = []
+    units = scene_units(results)
     for of_budget in by_budget(group_runs(results)):
         scenes = list(dict.fromkeys(group.scene for group in of_budget))
         if len(scenes) > 1:
             tests = against_reference(results, of_budget[0].budget, reference)
-            tables.append(_scenes_table(of_budget, tests, tuned_on or {}))
+            tables.append(_scenes_table(of_budget, tests, tuned_on or {}, units))
         tables += [scene_table([g for g in of_budget if g.scene == scene]) for scene in scenes]
     return tables
 
@@ -101,24 +104,29 @@ def scene_table(groups: Sequence[Group]) -> ResultTable:
     )  # fmt: skip
 
 
-def _scenes_table(groups: Sequence[Group], tests: Sequence[Comparison], tuned_on: Mapping[str, str]) -> ResultTable:
+def _scenes_table(
+    groups: Sequence[Group], tests: Sequence[Comparison], tuned_on: Mapping[str, str], units: Mapping[str, str]
+) -> ResultTable:
     """The rules of one budget with the scenes as columns, best mean over the scenes first."""
-    column, order = COLUMNS[FIRST_METRIC], standings(groups)
+    column, order = COLUMNS[FIRST_METRIC], standings(groups, units)
     labels, scenes = [s.label for s in order], list(dict.fromkeys(g.scene for g in groups))
+    n_units = len({units[scene] for scene in scenes})
     found = {(g.label, g.scene): g.summary(FIRST_METRIC) for g in groups}
     nothing = Summary(math.nan, math.nan, 0)
     cells = [_cells(column, [found.get((label, scene), nothing) for label in labels]) for scene in scenes]
     cells.append(_cells(column, [dataclasses.replace(s.over_scenes, sd=math.nan) for s in order]))
     cells.append([Cell(text=RANK.text(s.rank), value=RANK.shown(s.rank)) for s in order])
     notes = [f"{column.name} on each scene, the mean over the scenes, and the mean of the ranks; ties share a rank"]
+    notes += shared_frames({scene: units[scene] for scene in scenes})
     if tests:
         against = {c.b: c for c in tests}
         pairs = [_test_cells(against.get(label)) for label in labels]
         cells += [[difference for difference, _ in pairs], [p for _, p in pairs]]
         notes.append(
             f"last columns: mean difference from {tests[0].a} with its 95 % interval, and p of the paired t test over "
-            f"the {len(scenes)} scenes, corrected by Holm's method for {tests[0].n_tests} comparisons"
+            f"the {n_units} scenes, corrected by Holm's method for {tests[0].n_tests} comparisons"
         )
+    notes += _notes_on_maps(groups)
     notes += [f"{label} was tuned on: {where}" for label, where in tuned_on.items() if label in labels]
     return ResultTable(
         budget=groups[0].budget,
@@ -176,7 +184,14 @@ def _notes(groups: Sequence[Group]) -> list[str]:
             parts.append(f"{min(means):,.0f} to {max(means):,.0f} {noun}")
     if parts:
         notes.append(f"not equal between the rules: {' and '.join(parts)}; quality also depends on these")
+    notes += _notes_on_maps(groups)
     return list(dict.fromkeys([*notes, *(f"{run.spec.label}: {note}" for run in runs for note in run.notes)]))
+
+
+def _notes_on_maps(groups: Sequence[Group]) -> list[str]:
+    """Which rows have equal maps."""
+    runs = [run for group in groups for run in group.runs]
+    return [*map(str, equal_maps(runs)), *unknown_maps(runs)]
 
 
 def _seeds_note(groups: Sequence[Group]) -> str:

@@ -11,6 +11,7 @@ from .adjust.repair import repaired as repaired
 from .adjust.resize import resize_frame as resize_frame
 from .open import data_files as data_files
 from .open import detect_layout as detect_layout
+from .open import frame_fingerprints as frame_fingerprints
 from .open import open_sequence as open_sequence
 from .open import sequence_fingerprint as sequence_fingerprint
 from .readers.folder import folder as folder

@@ -1,11 +1,12 @@
 """Opening a sequence by path or name, whatever its layout, and a hash of everything that a run reads of it."""
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import torch
 
 from ..checks import check_name
 from ..config import DataConfig
-from ..files import file_hashes, noting_files
+from ..files import UNREADABLE, file_hashes, noting_files
 from . import readers
 from .adjust.repair import ExtraOf, OpenedSequence, RepairedSequence, SequenceView, apply_options, as_read
 from .recorded.files import missing
@@ -143,6 +144,36 @@ def data_files(sequence: OpenedSequence) -> dict[str, str]:
     positions = [*sequence.mapping.positions, *sequence.held_out.positions]
     images = [file for i in positions for file in (source.rgb_files[i], source.depth_files[i])]
     return file_hashes([*source.read_from, *images])
+
+
+def frame_fingerprints(sequence: OpenedSequence) -> list[str]:
+    """A hash of each picture of the recording from the first to the last frame of ``sequence``, also of those between
+    that it leaves out; without repetitions.
+
+    Two sequences that have a hash in common show the same walk, at least in part. Size, name, range, stride, held-out
+    frames and corrections do not matter. Of a recording on disk the files of its colour images are hashed, of any other
+    sequence the pixels, unless its source has ``moments``, texts that name what its frames show (the built-in room).
+    """
+    positions = [*sequence.mapping.positions, *sequence.held_out.positions]
+    if not positions:
+        return []
+    walk = range(min(positions), max(positions) + 1)
+    source = as_read(sequence.source)
+    if isinstance(source, RecordedSequence):
+        found = file_hashes(source.rgb_files[i] for i in walk)
+        shown = [digest for digest in found.values() if digest != UNREADABLE]
+    elif moments := getattr(source, "moments", None):
+        shown = [hashlib.blake2b(text.encode()).hexdigest() for text in moments(walk)]
+    else:
+        shown = list(_pixel_hashes(source, walk))
+    return list(dict.fromkeys(digest[:16] for digest in shown))
+
+
+def _pixel_hashes(source: Any, walk: Iterable[int]) -> Iterator[str]:
+    """Hash of the colours of each frame that can be read."""
+    for i in walk:
+        with contextlib.suppress(SequenceError):
+            yield hashlib.blake2b(source[i].colour.cpu().contiguous().numpy().tobytes()).hexdigest()
 
 
 def _pose_bytes(view: SequenceView, i: int) -> bytes:

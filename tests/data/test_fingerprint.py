@@ -8,7 +8,13 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb.config import DataConfig
-from gsfusion_nb.data import apply_options, data_files, open_sequence, sequence_fingerprint
+from gsfusion_nb.data import (
+    apply_options,
+    data_files,
+    frame_fingerprints,
+    open_sequence,
+    sequence_fingerprint,
+)
 from gsfusion_nb.data.room import room
 from gsfusion_nb.files import noting_files
 
@@ -93,3 +99,60 @@ def test_of_a_sequence_in_memory_every_pixel_counts():
     before = sequence_fingerprint(apply_options(Listed()))
     kept[1].depth_m[7, 7] += 0.001
     assert sequence_fingerprint(apply_options(Listed())) != before
+
+
+def frames_of(path, *, options=None, **data) -> set[str]:
+    sequence = open_sequence(path, data=DataConfig(hold_out_every=3, hold_out_offset=2, **data), **(options or {}))
+    found = frame_fingerprints(sequence)
+    assert len(found) == len(set(found))
+    return set(found)
+
+
+def test_frames_of_a_recording_are_known_again(wall):
+    """Whatever the size, the name of the folder and the stride, also where the selected frames alternate."""
+    whole = frames_of(wall)
+    assert len(whole) == len(list((wall / "rgb").iterdir()))
+    shutil.copytree(wall, wall.parent / "copy")
+    assert frames_of(wall.parent / "copy", width=16, height=12) == whole
+    even, odd = frames_of(wall, stride=2), frames_of(wall, start=1, stride=2)
+    assert even & odd
+    first, last = frames_of(wall, stop=4), frames_of(wall, start=4)
+    assert first
+    assert last
+    assert not first & last
+    assert frames_of(wall, start=3) & first
+
+
+def test_frames_of_the_room_are_known_again():
+    plain = frames_of("room", options={"n_frames": 60})
+    changed = {"n_frames": 43, "noise": "kinect", "pose_error_m": 0.01, "exposure_stops": 0.3, "holes": 0.1}
+    assert frames_of("room", options=changed) & plain
+    assert frames_of("room", options={"n_frames": 9, "rooms": 4}) & plain
+    assert not frames_of("room", options={"n_frames": 60, "seed": 1}) & plain
+    assert not frames_of("room", options={"n_frames": 60, "trajectory": "novel"}) & plain
+    first, last = (frames_of("room", options={"n_frames": 480}, **part) for part in ({"stop": 60}, {"start": 60}))
+    assert not first & last
+    assert frames_of("room", options={"n_frames": 480}, start=59) & first
+
+
+def test_of_a_sequence_in_memory_the_pictures_count():
+    frames = room(n_frames=4, width=32, height=24)
+    kept = [frames[i] for i in range(4)]
+
+    class Listed:
+        name, camera = "listed", frames.camera
+
+        def __init__(self, order):
+            self.order = order
+
+        def __len__(self):
+            return len(self.order)
+
+        def __getitem__(self, i):
+            return kept[self.order[i]]
+
+        def pose(self, i):
+            return kept[self.order[i]].T_WC
+
+    a, b, c = (set(frame_fingerprints(apply_options(Listed(order)))) for order in ([0, 1], [1, 2], [2, 3]))
+    assert [len(a & b), len(b & c), len(a & c)] == [1, 1, 0]

@@ -292,6 +292,18 @@ class RoomSequence:
         """A text that decides all frames: every option, and the version of the scene."""
         return repr(dataclasses.asdict(self) | {"cache": "", "version": version()})
 
+    def moments(self, frames: range) -> list[str]:
+        """What the walk from the first to the last of ``frames`` shows, as one text for each frame and each tenth of a
+        second: equal for all rooms with this seed and walk, whatever their number of frames, size, noise and errors."""
+        times_s = self._walk[1][: self.n_frames]
+        name = f"room {self.seed}, {self.trajectory}"
+        found = [f"{name}, {times_s[i % self.n_frames]:.3f} s" for i in frames]
+        for room in range(frames[0] // self.n_frames, frames[-1] // self.n_frames + 1):  # all look the same
+            inside = [i - room * self.n_frames for i in frames if i // self.n_frames == room]
+            first, last = (10 * times_s[i] for i in (inside[0], inside[-1]))
+            found += [f"{name}, {tenth} tenths" for tenth in range(math.ceil(first), math.floor(last) + 1)]
+        return list(dict.fromkeys(found))
+
     def __len__(self) -> int:
         return self.rooms * self.n_frames
 

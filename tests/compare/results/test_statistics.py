@@ -6,6 +6,7 @@ import math
 import pytest
 
 from gsfusion_nb.compare import Budget
+from gsfusion_nb.compare.scene_units import scene_units, shared_frames
 from gsfusion_nb.compare.statistics import (
     against_reference,
     compare,
@@ -132,3 +133,53 @@ def test_the_better_direction_is_that_of_the_metric(made_run):
     comparison = compare(a + b, "a", "b", metric="depth_l1_held_out_m")
     assert comparison.verdict == "a"
     assert "by 2.00 cm" in str(comparison)
+
+
+def again(found, scene, label, frames):
+    """The runs on one scene once more, under another name of it, as runs with these frames."""
+    return [
+        dataclasses.replace(r, spec=dataclasses.replace(r.spec, scene=label), data_hash="", frames=frames)
+        for r in found
+        if r.spec.scene == scene
+    ]
+
+
+def test_one_recording_under_three_labels_is_one_scene(made_run):
+    """It was "better by 1.92 dB, more than noise, p < 0.001", with each label as a scene."""
+    found = runs(made_run, "a", {"kitchen": (22.0, 22.1)}) + runs(made_run, "b", {"kitchen": (20.0, 20.2)})
+    thrice = [
+        run for k in range(3) for run in again(found, "kitchen", f"kitchen {k}", [f"frame {k}", f"frame {k + 1}"])
+    ]
+    once = compare(found, "a", "b")
+    test = compare(thrice, "a", "b")
+    assert (len(test.units), test.p) == (2, once.p)  # two seeds of one scene
+    assert "6 pairs of runs on 3 scenes, which share frames and count as 1;" in str(test)
+    other = runs(made_run, "a", {"hall": (25.0, 25.0)}) + runs(made_run, "b", {"hall": (24.0, 24.0)})
+    assert compare(thrice + other, "a", "b").units == pytest.approx([1.95, 1.0])
+    order = standings(group_runs(thrice + other))
+    assert [(s.label, s.over_scenes.n) for s in order] == [("a", 2), ("b", 2)]
+    assert order[0].over_scenes.mean == pytest.approx((22.05 + 25.0) / 2)
+
+
+def test_units_are_joined_through_a_third_scene(made_run):
+    def of(scene, frames, data_hash=""):
+        return dataclasses.replace(made_run("a", scene), frames=frames, data_hash=data_hash)
+
+    chain = [of("x", ["1", "2"]), of("y", ["4"]), of("z", ["2", "3", "4"]), of("w", ["9"]), of("v", [])]
+    assert scene_units(chain) == dict.fromkeys("xyz", "x + y + z") | {"w": "w", "v": "v"}
+    assert scene_units([of("x", [], "same"), of("y", [], "same")]) == dict.fromkeys("xy", "x + y")
+    assert shared_frames(scene_units(chain)) == [
+        "x, y and z share frames, so they count as one scene in means and tests"
+    ]
+
+
+def test_seeds_that_change_no_map_are_one_observation(made_run):
+    """Two rules that draw nothing differ by the same number with every seed, which is no evidence."""
+    found = runs(made_run, "a", {"room": (21.0,) * 5}) + runs(made_run, "b", {"room": (20.0,) * 5})
+    found = [dataclasses.replace(r, map_hash=f"map of {r.spec.label}") for r in found]
+    test = compare(found, "a", "b")
+    assert test.verdict == "unknown"
+    assert str(test) == (
+        "a and b: nothing can be said about noise from 5 pairs of runs on 1 scene, in which the seeds made 1 different "
+        "pair of maps; use several scenes"
+    )
