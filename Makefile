@@ -44,16 +44,21 @@ demo: setup
 test: dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-# Runs that are killed and resumed, damaged files, chapters with nothing solved, and a class in nbgrader: see
-# docs/trust.md. About two hours.
+# Runs that are killed and resumed, damaged files, every test marked slow, a class in nbgrader, and changes of the
+# program that some test must notice: see docs/trust.md. Four hours on two cores. MUTANTS: how many changes of each room,
+# MINUTES: when to stop beginning others.
+MUTANTS ?= 40
+MINUTES ?= 120
 campaign: dev
 	$(BIN)/python tests/campaign/kills.py --kills 300
 	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
-	$(BIN)/python -m pytest -n auto --dist worksteal -m slow tests/course tests/kernels tests/test_notebooks.py
+	$(BIN)/python -m pytest -n auto --dist worksteal -m slow --ignore=tests/browser
 	$(BIN)/python -m pytest -m slow tests/browser
 	$(BIN)/python -m pip install --quiet "nbgrader>=0.9.5"
 	$(BIN)/python -m pytest -m ci tests/course/test_nbgrader.py
 	GSNB_CAMPAIGN=1 $(BIN)/python -m pytest -m ci tests/browser/test_learners_path.py
+	$(BIN)/python -m pip install --quiet "cosmic-ray>=8.4" "coverage>=7.6"
+	$(BIN)/python tests/campaign/mutants.py --sample $(MUTANTS) --minutes $(MINUTES)
 
 # The tables in docs/ whose numbers are older than the code that they depend on, and the commands that measure them again.
 # make measured RENEW="tracking-accuracy ..." RECORDINGS=PATH/TO runs these commands in the folder of the recordings and

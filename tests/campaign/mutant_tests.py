@@ -1,0 +1,266 @@
+"""Which tests execute a line, and what they say about a mutant: processes forked from one that has loaded PyTorch."""
+
+import contextlib
+import importlib
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mutant_sites import Mutant, mutated
+
+HEAVY = (
+    "torch numpy numba cv2 scipy.spatial scipy.optimize scipy.sparse scipy.ndimage matplotlib.pyplot PIL.Image kornia"
+)
+"""What is loaded once, before any process is forked. The package itself is not: each process loads its own mutant."""
+MEMORY_BYTES = 12 * 1024**3
+"""Address space of a process: a mutant may ask for any amount."""
+OPTIONS = ("-q", "-n0", "-x", "-p", "no:cacheprovider", "--no-header", "--tb=no", "--capture=fd")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage:
+    """What each test executes."""
+
+    seconds: dict[str, float]
+    """Test -> its time on a processor. Only tests that pass."""
+    lines: dict[str, dict[int, list[str]]]
+    """File -> line -> tests."""
+
+    def of(self, mutant: Mutant, most_s: float) -> list[str]:
+        """Tests for a mutant, those of one file together: first those that execute its line, then the other tests of
+        these files that execute anything of its module, because a test may find the results of another one.
+
+        Args:
+            mutant: The change.
+            most_s: No further tests are chosen when these take so long, seconds.
+        """
+        lines = self.lines.get(mutant.file, {})
+        room = "/".join(mutant.file.split("/")[:2])
+        of_module = {test for tests in lines.values() for test in tests}
+        if mutant.runs_with:
+            direct = {test for i in mutant.runs_with for test in lines.get(i, ())}
+        else:  # a module of constants
+            modules = [by_line for file, by_line in self.lines.items() if file.startswith(f"{room}/")]
+            direct = {test for by_line in modules for tests in by_line.values() for test in tests}
+        files = {_file(test) for test in direct}
+        others = {test for test in of_module - direct if _file(test) in files}
+        chosen, spent = [], 0.0
+        for test in [*self._in_order(direct, mutant), *self._in_order(others, mutant)]:
+            if spent + self.seconds[test] <= most_s or not chosen:
+                chosen.append(test)
+                spent += self.seconds[test]
+        return chosen
+
+    def _in_order(self, tests: Iterable[str], mutant: Mutant) -> list[str]:
+        """By file, the room's own first and then the quickest; in a file the quickest first."""
+        files = defaultdict(list)
+        for test in tests:
+            files[_file(test)].append(test)
+        room = mutant.file.split("/")[1]
+
+        def cost(file: str) -> tuple[bool, float, str]:
+            return not file.startswith(f"tests/{room}/"), sum(self.seconds[t] for t in files[file]), file
+
+        return [t for file in sorted(files, key=cost) for t in sorted(files[file], key=lambda t: (self.seconds[t], t))]
+
+
+def _file(test: str) -> str:
+    return test.partition("::")[0]
+
+
+def copy_of(root: Path, folder: Path) -> Path:
+    """A copy of what git knows of a checkout, with the times of its files."""
+    names = subprocess.check_output(["git", "-C", str(root), "ls-files", "-z"], text=True).split("\0")
+    for name in filter(None, names):
+        if (root / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(root / name, folder / name)
+    return folder
+
+
+def load_once() -> None:
+    """Load what every process needs and no mutant changes."""
+    for name in HEAVY.split():
+        importlib.import_module(name)
+
+
+def warm(tree: Path, folders: Sequence[str], scratch: Path) -> None:
+    """Compile what the tests in ``folders`` import, so that each mutant's process compiles its own module only."""
+    _forked(tree, scratch, 0, lambda: _pytest(folders, options=[*OPTIONS, "--collect-only"]))
+
+
+def covered(tree: Path, folders: Sequence[str], scratch: Path, file: Path) -> None:
+    """Run the tests in ``folders`` and write what each executes to ``file``."""
+    code = _forked(tree, scratch, 0, lambda: _measure(tree, folders, scratch, file))
+    if code or not file.exists():
+        raise RuntimeError(f"the tests in {', '.join(folders)} cannot be measured; see {scratch / 'out.txt'}")
+
+
+def read_coverage(files: Iterable[Path]) -> Coverage:
+    """What ``covered`` has written to several files."""
+    seconds: dict[str, float] = {}
+    lines: dict[str, dict[int, list[str]]] = defaultdict(lambda: defaultdict(list))
+    for file in files:
+        part = json.loads(file.read_text())
+        seconds |= part["seconds"]
+        for name, by_line in part["lines"].items():
+            for line, rows in by_line.items():
+                lines[name][int(line)] += [part["tests"][i] for i in rows]
+    return Coverage(seconds=seconds, lines=lines)
+
+
+def verdict(tree: Path, mutant: Mutant, tests: Sequence[str], seconds: float, scratch: Path) -> str:
+    """ "killed", "survived" or "timed out": what the tests say about a mutant in a copy of the checkout.
+
+    Args:
+        tree: The copy; the mutant's file is as before at the end.
+        mutant: The change.
+        tests: Names of tests, in their order.
+        seconds: Time that the tests take without the change; five times as much of a processor's time, and 20 s, is
+            the limit.
+        scratch: Folder for the output and for what tests write.
+    """
+    if not tests:
+        return "survived"
+    path = tree / mutant.file
+    source, stat = path.read_text("utf-8"), path.stat()
+    try:
+        path.write_text(mutated(source, mutant.operator, mutant.occurrence), "utf-8")
+        limit = round(20 + 5 * seconds)
+        code = _forked(tree, scratch, limit, lambda: _pytest(list(dict.fromkeys(map(_file, tests))), Only(tests)))
+    finally:
+        path.write_text(source, "utf-8")
+        os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    if code in (0, 5):
+        return "survived"
+    return "timed out" if code == -signal.SIGXCPU or code == -signal.SIGKILL else "killed"
+
+
+def _pytest(files: Sequence[str], *plugins: Any, options: Sequence[str] = OPTIONS) -> int:
+    return int(pytest.main([*options, f"--basetemp={os.environ['MUTANT_SCRATCH']}/tests", *files], plugins=plugins))
+
+
+def _forked(tree: Path, scratch: Path, limit_s: int, work: Any) -> int:
+    """Exit status of a process that does ``work`` in the copy; below 0 the signal that ended it."""
+    scratch.mkdir(parents=True, exist_ok=True)
+    pid = os.fork()
+    if pid == 0:
+        code = 70
+        with contextlib.suppress(BaseException):
+            _settle(tree, scratch, limit_s)
+            code = work()
+        os._exit(code)
+    deadline = time.monotonic() + 15 * limit_s if limit_s else float("inf")
+    while True:
+        ended, status = os.waitpid(pid, os.WNOHANG)
+        if ended:
+            break
+        if time.monotonic() > deadline:
+            os.killpg(pid, signal.SIGKILL)
+        time.sleep(0.02)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(pid, signal.SIGKILL)  # what the tests have started
+    shutil.rmtree(scratch / "tests", ignore_errors=True)
+    return os.waitstatus_to_exitcode(status)
+
+
+def _settle(tree: Path, scratch: Path, limit_s: int) -> None:
+    os.setsid()
+    out = os.open(scratch / "out.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    for stream in (1, 2):
+        os.dup2(out, stream)
+    if limit_s:
+        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 5))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    os.chdir(tree)
+    os.environ |= {"PYTHONPATH": str(tree), "MUTANT_SCRATCH": str(scratch)}
+    sys.path[:] = [str(tree), *(path for path in sys.path if not path.endswith("campaign"))]
+    sys.dont_write_bytecode = bool(limit_s)  # of a mutant
+
+
+class Only:
+    """Plugin of pytest: only these tests, in this order."""
+
+    def __init__(self, tests: Sequence[str]):
+        self.place = {test: i for i, test in enumerate(tests)}
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = sorted((i for i in items if i.nodeid in self.place), key=lambda item: self.place[item.nodeid])
+
+
+class Recorder:
+    """Plugin of pytest: tells coverage which test runs, or which fixture that several tests share is made."""
+
+    def __init__(self, coverage: Any):
+        self.coverage, self.context = coverage, ""
+        self.seconds: dict[str, float] = {}
+        self.failed: set[str] = set()
+        self.shared: dict[str, list[str]] = {}
+        """Test -> contexts of the shared fixtures that it uses."""
+
+    def _switch(self, context: str) -> str:
+        before, self.context = self.context, context
+        self.coverage.switch_context(context)
+        return before
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_runtest_protocol(self, item: Any) -> Any:
+        self._switch(item.nodeid)
+        fixtures = item._fixtureinfo.name2fixturedefs.values()
+        self.shared[item.nodeid] = [_shared(f[-1]) for f in fixtures if f and f[-1].scope != "function"]
+        before = time.process_time()
+        yield
+        self.seconds[item.nodeid] = time.process_time() - before
+        self._switch("")
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_fixture_setup(self, fixturedef: Any) -> Any:
+        before = self._switch(_shared(fixturedef)) if fixturedef.scope != "function" else None
+        yield
+        if before is not None:
+            self._switch(before)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if not report.passed:
+            self.failed.add(report.nodeid)
+
+
+def _shared(fixture: Any) -> str:
+    return f"fixture {fixture.baseid} {fixture.argname}"
+
+
+def _measure(tree: Path, folders: Sequence[str], scratch: Path, file: Path) -> int:
+    import coverage
+
+    cov = coverage.Coverage(data_file=str(scratch / "coverage"), source=[str(tree / "gsfusion_nb")], messages=False)
+    recorder = Recorder(cov)
+    cov.erase()
+    cov.start()
+    code = _pytest(folders, recorder, options=[option for option in OPTIONS if option != "-x"])
+    cov.stop()
+    data, kept = cov.get_data(), [test for test in recorder.seconds if test not in recorder.failed]
+    number, users = {test: i for i, test in enumerate(kept)}, defaultdict(list)
+    for test in kept:
+        for context in (test, *recorder.shared.get(test, ())):
+            users[context].append(number[test])
+    lines = {}
+    for name in data.measured_files():
+        by_line = {
+            line: sorted({i for context in contexts for i in users.get(context, ())})
+            for line, contexts in data.contexts_by_lineno(name).items()
+        }
+        lines[Path(name).relative_to(tree).as_posix()] = {line: tests for line, tests in by_line.items() if tests}
+    seconds = {test: recorder.seconds[test] for test in kept}
+    file.write_text(json.dumps({"tests": kept, "seconds": seconds, "lines": lines}))
+    return 0 if code in (0, 1) else code
