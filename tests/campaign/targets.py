@@ -123,7 +123,7 @@ def run_trajectory(path: Path) -> None:
 
 
 def intrinsics(path: Path) -> None:
-    from gsfusion_nb.recordings.convert.camera import read_intrinsics
+    from gsfusion_nb.recordings.convert.intrinsics import read_intrinsics
 
     model = read_intrinsics(str(path), (24, 18))
     values = [*map(float, vars(model.camera).values()), *model.distortion]

@@ -16,7 +16,7 @@ import torch
 
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
-from ..recorded.files import given_name, require
+from ..recorded.files import calibration_in, given_name, require
 from ..recorded.poses import read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..sequence import SequenceError
@@ -50,7 +50,7 @@ T_DEPTH_COLOUR = torch.tensor(
 """Pose of the colour camera in the depth camera's frame, metres; same source."""
 
 
-def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequence:
+def seven_scenes(path: str | Path, *, register: bool = False, camera: Camera | None = None) -> RecordedSequence:
     """Read a sequence of 7-Scenes (module docstring).
 
     Depth scale: 1000 per metre, 0 and 65535 missing. Poses: camera-to-world of the depth camera, OpenCV axes. Pixel
@@ -63,26 +63,38 @@ def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequenc
             camera; colour is undistorted, depth is warped into it with a z-buffer, poses are moved. Uses the
             calibration estimated on RedKitchen, which is right for other scenes only if they were recorded with the
             same Kinect.
+        camera: Another camera than that of 7-Scenes, for colour and depth, which are then taken as registered.
 
     Raises:
         SequenceNotFoundError: the folder or a frame's pose is missing.
-        SequenceError: no frames, several sequences, or a pose file that does not hold 16 numbers.
+        SequenceError: no frames, several sequences, a pose file that does not hold 16 numbers, or a calibration beside
+            the images, as 3DMatch, BundleFusion and other recordings with these names have: 7-Scenes has none.
     """
     root = _only_sequence(Path(path))
     require(root, LOOKS_FOR, "seven_scenes")
+    calibration = calibration_in(*calibrated_folders(root))
+    if calibration is not None and camera is None:
+        raise SequenceError(
+            f"{root} has the names of 7-Scenes, but a calibration of its own, {calibration}; it is read by gsfusion-nb "
+            f"convert {root} OUT"
+        )
+    if register and camera is not None:
+        raise SequenceError(
+            f"{root}: register is the calibration of 7-Scenes, so it cannot be used with another camera"
+        )
     colour = sorted(root.glob("frame-*.color.*"))
     stems = [path.name.partition(".")[0] for path in colour]
     pose_files = [root / f"{stem}.pose.txt" for stem in stems]
     poses = torch.stack([_read_pose(p) for p in pose_files])
     registration = Undistorter(COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR) if register else None
-    if registration is None:
+    if registration is None and camera is None:
         log.warning(
             "%s: colour is not registered to depth in 7-Scenes (10 to 20 pixels off); --reader register=true aligns it",
             root,
         )
     return RecordedSequence(
         name=given_name(root),
-        camera=DEPTH_CAMERA if registration is None else registration.camera,
+        camera=(camera or DEPTH_CAMERA) if registration is None else registration.camera,
         rgb_files=colour,
         depth_files=[root / f"{stem}.depth.png" for stem in stems],
         timestamps_s=[int(stem.removeprefix("frame-")) / 30.0 for stem in stems],
@@ -97,6 +109,13 @@ def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequenc
 def first_sequence(path: Path) -> Path:
     """The first ``seq-XX`` folder in ``path``, or ``path`` itself where there is none."""
     return min((p for p in path.glob("seq-*") if p.is_dir()), default=path)
+
+
+def calibrated_folders(path: Path) -> list[Path]:
+    """Folders that may hold the calibration of a folder of images: itself, and the scene around a ``seq-XX``."""
+    folder = first_sequence(path)
+    around = [folder.resolve().parent] if folder.resolve().name.startswith("seq-") else []
+    return list(dict.fromkeys([path, folder, *around]))
 
 
 def _only_sequence(path: Path) -> Path:

@@ -17,7 +17,7 @@ from ...checks import shown
 from ...files import is_file
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
-from ..recorded.files import given_name, natural_order, require
+from ..recorded.files import calibration_in, given_name, natural_order, require
 from ..recorded.poses import checked_rows, interpolate_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import associate, judge_stamps, read_image_list
@@ -42,9 +42,6 @@ LENSES = {
     "freiburg3": CameraModel(_kinect(535.4, 539.2, 320.1, 247.6)),
 }
 """Calibration of the three Kinects, from the benchmark's page; the third is already undistorted."""
-
-CALIBRATIONS = ("calibration.txt", "camera.txt", "calib.txt", "intrinsics.txt", "intrinsics.json", "camera.json")
-"""Files with which a recording of another camera gives its own; the benchmark has none."""
 
 
 def tum(
@@ -129,7 +126,7 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
 def benchmark_camera(folder: Path) -> str:
     """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name counts. Empty if none, or
     if the folder holds a calibration of its own."""
-    if any((folder / name).is_file() for name in CALIBRATIONS):
+    if calibration_in(folder) is not None:
         return ""
     names = (given_name(folder), folder.resolve().name)
     return next((n for f in names for n in LENSES if n in f or n.replace("freiburg", "fr") in f), "")

@@ -42,7 +42,35 @@ def missing(root: Path, names: tuple[str, ...]) -> list[str]:
     return [name for name in names if next(root.glob(name.rstrip("/")), None) is None]
 
 
-def images_in(folder: Path, suffixes: tuple[str, ...] = (".jpg", ".jpeg", ".png")) -> list[Path]:
+CALIBRATIONS = (
+    "intrinsic/intrinsic_color.*",
+    "intrinsic_color.*",
+    "K.*",
+    "intrinsic*",
+    "calib*",
+    "camera.*",
+    "camera[_-]*",
+    "cam_params.json",
+    "*camchain*",
+    "*intrinsics/*.pincam",
+    "info.txt",
+    "_info.txt",
+)
+"""Files and folders with which a recording gives the camera of its images, most telling first."""
+CALIBRATION_SUFFIXES = (".txt", ".json", ".npy", ".yaml", ".yml", ".pincam")
+
+
+def calibration_in(*folders: Path) -> Path | None:
+    """The first calibration file in some folders; None if there is none."""
+    for folder in folders:
+        for pattern in CALIBRATIONS:
+            found = [p for p in sorted(folder.glob(pattern)) if p.suffix.lower() in CALIBRATION_SUFFIXES]
+            if found:
+                return found[0]
+    return None
+
+
+def images_in(folder: Path, suffixes: tuple[str, ...] = (".jpg", ".jpeg", ".png", ".webp")) -> list[Path]:
     """Images of a folder in natural order (2 before 10); hidden files are skipped. At least one, or an error."""
     if not folder.is_dir():
         raise SequenceNotFoundError(f"{folder} is not a folder; expected one with images")

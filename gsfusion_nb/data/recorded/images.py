@@ -54,9 +54,29 @@ def _tell_of_turned(folder: Path) -> None:
     )
 
 
+_DARKEST_OF_16_BITS = 16
+"""Of 256: an image of 16 bits that is nowhere brighter uses 12 bits or fewer."""
+
+
+def _is_png_of_16_bits(data: bytes) -> bool:
+    return data[:8] == b"\x89PNG\r\n\x1a\n" and data[24:25] == b"\x10"
+
+
+@functools.cache
+def _tell_of_dark(folder: Path) -> None:
+    """Say once for a folder that its images of 16 bits may be of a camera with fewer."""
+    log.warning(
+        "%s: colour images of 16 bits use 12 or fewer of them, and are taken as they are; if the camera has 12 bits, "
+        "they are 16 times too dark: multiply the values by 16",
+        folder,
+    )
+
+
 def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:
     """``read_rgb`` of an encoded image in memory; ``source`` is its name for messages."""
     bgr = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, source, "colour")
+    if _is_png_of_16_bits(data) and 0 < bgr.max() < _DARKEST_OF_16_BITS:
+        _tell_of_dark(Path(source).parent)
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
@@ -90,6 +110,11 @@ def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np
 def decode_depth(path: Path, types: tuple[Any, ...]) -> np.ndarray:
     """Stored values of a depth image. Raises ``BadFrameError`` unless it has one channel and one of these types."""
     raw = decode_image(read_image_bytes(path, "depth"), cv2.IMREAD_UNCHANGED, path, "depth")
+    if raw.dtype == np.uint8 and raw.ndim == 3:
+        raise BadFrameError(
+            f"{path} is a colour image of {raw.shape[2]} channels with 8 bits; expected depth of one channel; unpack "
+            "depth first that is packed into the channels (CARLA, RLBench)"
+        )
     if raw.dtype == np.uint8:
         raise BadFrameError(f"{path} holds depth in 8 bits, so {LOST_PRECISION}")
     if raw.ndim != 2 or raw.dtype not in types:
@@ -134,7 +159,7 @@ def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
     if size is None:
         raise BadFrameError(
             f"{source} cannot be decoded: it is truncated, damaged or not an image, or claims far too many pixels; "
-            f"expected a {kind} image, as PNG, JPEG, TIFF, PNM or BMP"
+            f"expected a {kind} image, as PNG, JPEG, TIFF, PNM, BMP or WebP"
         )
     width, height = size
     if width * height > MAX_PIXELS:
@@ -173,7 +198,7 @@ def is_to_be_turned(data: bytes) -> bool:
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP or OpenEXR file claims; None for other data."""
+    """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP, WebP or OpenEXR file claims; None for others."""
     if data[:4] == b"v/1\x01":
         windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(data[: 1 << 20])]
         sizes = [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
@@ -181,6 +206,6 @@ def image_size(data: bytes) -> tuple[int, int] | None:
     from PIL import Image
 
     try:
-        return Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "TIFF", "PPM", "BMP")).size
+        return Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "TIFF", "PPM", "BMP", "WEBP")).size
     except Exception:  # a damaged header leads to any exception
         return None

@@ -17,7 +17,7 @@ from ...data.lens import CameraModel
 from ...tracking import Features, extract_features
 from ...tracking.matching import match_features
 from ...types import Camera, Frame
-from .camera import model_of
+from .intrinsics import model_of
 from .recording import OptionNeeded, load_pair
 
 _GAPS = (5, 15)

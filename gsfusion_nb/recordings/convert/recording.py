@@ -248,8 +248,10 @@ def read_array(path: Path, what: str) -> np.ndarray:
 def _numpy_array(path: Path) -> np.ndarray:
     with parsing(path, "a NumPy array of depth", BadFrameError):
         array = np.squeeze(read_array(path, "a NumPy array of depth"))
-    if array.ndim != 2 or array.dtype.kind not in "fu":
-        raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
+    if array.ndim != 2:
+        raise BadFrameError(f"{path} must hold a depth image [H, W], got the shape {list(array.shape)}")
+    if array.dtype.kind not in "fui":
+        raise BadFrameError(f"{path} must hold depth as numbers, got the type {array.dtype}")
     return array
 
 

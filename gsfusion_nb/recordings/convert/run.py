@@ -20,8 +20,8 @@ from ...data.sequence import BadFrameError, SequenceError
 from ...files import atomic_folder, parsing
 from ...types import Camera
 from ...work import ProgressDisplay
-from .camera import read_intrinsics
 from .formats import FORMATS, detect_format
+from .intrinsics import read_intrinsics
 from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording, RgbdImages
 from .rectifier import Rectifier
 from .trajectory import FramePoses, read_matrix

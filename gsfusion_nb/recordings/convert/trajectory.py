@@ -13,12 +13,12 @@ from torch import Tensor
 
 from ...checks import check_pose
 from ...data.recorded.files import images_in
-from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices, read_words
+from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices, read_rows, read_words
 from ...data.recorded.times import PER_SECOND, date_unit, judge_stamps
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
 from ...files import parsing, read_text, refusing
-from ...geometry import se3
+from ...geometry import quaternion, se3
 from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording, read_array
 
 
@@ -140,8 +140,10 @@ def poses_per_frame(path: Path, n_frames: int) -> dict[Any, Float[Tensor, "4 4"]
     matrix may take four rows. A folder has a file with a matrix for each image.
 
     Raises:
-        SequenceError: another number of poses than of frames.
+        SequenceError: another number of poses than of frames, or a quaternion whose length is not 1.
     """
+    if path.suffix == _ARKIT_SUFFIX:
+        return None
     what = "one pose per frame: " + ", ".join(_PER_FRAME.values())
     names: list[str] = []
     if path.is_dir():
@@ -161,7 +163,7 @@ def poses_per_frame(path: Path, n_frames: int) -> dict[Any, Float[Tensor, "4 4"]
     with parsing(path, what):
         table = torch.tensor([[float(value) for value in row] for row in rows], dtype=torch.float64)
         if table.shape[1] == 7:
-            poses = matrices(table)
+            poses = matrices(_checked_quaternions(table, path))
         else:
             poses = table.reshape(-1, 3 if table.shape[1] == 12 else 4, 4)
             poses = torch.cat([poses[:, :3], torch.eye(4).double()[3:].expand(len(poses), 1, 4)], 1)
@@ -173,6 +175,34 @@ def poses_per_frame(path: Path, n_frames: int) -> dict[Any, Float[Tensor, "4 4"]
             "of its image before each pose; --poses none tracks the camera later"
         )
     return dict(enumerate(poses))
+
+
+def _checked_quaternions(rows: Float[Tensor, "N 7"], path: Path) -> Float[Tensor, "N 7"]:
+    """Rows "tx ty tz qx qy qz qw". Raises ``SequenceError`` where the last four are no unit quaternion."""
+    length = rows[:, 3:].norm(dim=1)
+    wrong = ((length - 1).abs() > 1e-2) & torch.isfinite(length)
+    if bool(wrong.any()):
+        i = int(wrong.nonzero()[0])
+        raise SequenceError(
+            f"{path}: pose {i} must be tx ty tz qx qy qz qw with a quaternion of length 1, got one of length "
+            f"{float(length[i]):.3g}; ARKitScenes' times and axes are read from a file that ends in {_ARKIT_SUFFIX}"
+        )
+    return rows
+
+
+_ARKIT_SUFFIX = ".traj"
+"""Of ARKitScenes: time, rotation as axis times angle in radians, and translation, all world-to-camera."""
+
+
+def _rows_of_arkit(rows: Float[Tensor, "N 7"]) -> Float[Tensor, "N 8"]:
+    """Rows t tx ty tz qx qy qz qw of the camera-to-world poses."""
+    angle = rows[:, 1:4].norm(dim=1, keepdim=True)
+    half_sinc = 0.5 * torch.sinc(0.5 * angle / torch.pi)
+    quat_CW = torch.cat([torch.cos(0.5 * angle), half_sinc * rows[:, 1:4]], 1)
+    R_WC = quaternion.to_matrix(quat_CW).transpose(1, 2)
+    t_WC = -(R_WC @ rows[:, 4:, None])[..., 0]
+    quat_WC = quat_CW * quat_CW.new_tensor([1.0, -1.0, -1.0, -1.0])
+    return torch.cat([rows[:, :1], t_WC, quat_WC[:, [1, 2, 3, 0]]], 1)
 
 
 def _numbers_of(path: Path, what: str) -> list[float]:
@@ -220,8 +250,9 @@ def read_trajectory(
     """Read poses ``T_world_body`` with times.
 
     Known: TUM text and ORB-SLAM3 ("t tx ty tz qx qy qz qw", seconds or nanoseconds), OKVIS2 csv (header, nanoseconds,
-    xyzw), EuRoC csv (header, nanoseconds, wxyz) and StrayScanner's odometry.csv, whose column "frame" numbers the
-    images. A header decides on the order of the columns. Rows with NaN or infinities are left out: tracking was lost.
+    xyzw), EuRoC csv (header, nanoseconds, wxyz), StrayScanner's odometry.csv, whose column "frame" numbers the images,
+    and the world-to-camera poses of ARKitScenes (files ending in .traj). A header decides on the order of the columns.
+    Rows with NaN or infinities are left out: tracking was lost.
 
     Args:
         path: The file.
@@ -235,7 +266,10 @@ def read_trajectory(
         SequenceError: no such file, no rows, a row that is not numeric, times that go back, two poses at one time that
             are far apart, or a quaternion whose length is not 1.
     """
-    stored, frames = _table(path)
+    if path.suffix == _ARKIT_SUFFIX:
+        stored, frames = _rows_of_arkit(read_rows(path, 7, "time, axis times angle and translation, 7 numbers")), {}
+    else:
+        stored, frames = _table(path)
     table, notes = checked_rows(stored, path, ordered=True)
     if not len(table):
         raise SequenceError(f"{path} holds no finite pose; expected rows 't tx ty tz qx qy qz qw'")
@@ -266,21 +300,16 @@ def read_trajectory(
 
 
 def _unit_of(times: list[float], frame_time_s: float | None) -> str:
-    """Unit of increasing times: that of their dates, of the only span around a frame's time, or of their steps."""
+    """Unit of increasing times: that of their dates, the only one in which they are about a frame's time, or that of
+    their steps."""
     dated = date_unit(times[-1])
     if dated or frame_time_s is None:
         return dated or find_time_unit(times)
-    spanning = [
-        unit
-        for unit, per_second in PER_SECOND.items()
-        if times[0] / per_second - _SPAN_MARGIN_S <= frame_time_s <= times[-1] / per_second + _SPAN_MARGIN_S
-    ]
-    by_step = find_time_unit(times)
-    return spanning[0] if len(spanning) == 1 else by_step
-
-
-_SPAN_MARGIN_S = 1.0
-"""A frame may be taken so long before the first pose or after the last one, seconds."""
+    margin = 0.1 * (times[-1] - times[0])
+    first = times[0] - margin
+    last = times[-1] + margin
+    spanning = [unit for unit, n in PER_SECOND.items() if first <= frame_time_s * n <= last]
+    return spanning[0] if len(spanning) == 1 else find_time_unit(times)
 
 
 def _table(path: Path) -> tuple[Float[Tensor, "N 8"], dict[Any, float]]:

@@ -1,5 +1,6 @@
 """The plain layout, and every way in which it can be wrong."""
 
+import logging
 import struct
 
 import cv2
@@ -154,6 +155,39 @@ def test_bad_depth_images(tmp_path, box, image):
     seq = folder(root)
     expect(BadFrameError, r"000001\.png", lambda: seq[1])
     assert seq[0].index == 0
+
+
+def test_a_colour_image_is_no_depth(tmp_path, box):
+    root = box.folder(tmp_path)
+    cv2.imwrite(str(root / "depth/000001.png"), np.full((48, 64, 3), 200, np.uint8))
+    seq = folder(root)
+    expect(BadFrameError, r"000001\.png is a colour image of 3 channels .* packed into", lambda: seq[1])
+
+
+def test_dark_colour_of_16_bits_is_told(tmp_path, box, caplog):
+    """12 bits in an image of 16 are 16 times too dark; 8 bits spread over 16 are right."""
+    root = box.folder(tmp_path)
+    grey = np.tile(np.arange(64, dtype=np.uint16) * 4, (48, 1))
+    (root / "rgb/000001.jpg").unlink()
+    for factor, told in ((257, False), (16, True)):
+        cv2.imwrite(str(root / "rgb/000001.png"), grey * factor)
+        with caplog.at_level(logging.WARNING):
+            rgb = folder(root)[1].rgb
+        assert torch.allclose(rgb[0, :, 0] * 255, torch.from_numpy(grey[0] * factor // 256).float(), atol=1)
+        assert ("use 12 or fewer" in caplog.text) == told
+
+
+def test_webp_is_colour(tmp_path, box):
+    root = box.folder(tmp_path)
+    as_jpeg = [frame.rgb_u8 for frame in folder(root)]
+    for file in list((root / "rgb").iterdir()):
+        lossless = [cv2.IMWRITE_WEBP_QUALITY, 101]
+        picture = cv2.imread(str(file))
+        assert picture is not None
+        cv2.imwrite(str(file.with_suffix(".webp")), picture, lossless)
+        file.unlink()
+    for frame, expected in zip(folder(root), as_jpeg, strict=True):
+        assert torch.equal(frame.rgb_u8, expected)
 
 
 @pytest.mark.parametrize("width", [0, 160])

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError, open_sequence, seven_scenes
+from gsfusion_nb.data import SequenceError, folder, open_sequence, seven_scenes
 from gsfusion_nb.data.lens import warp_depth
 from gsfusion_nb.data.readers.seven_scenes import COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR
+from gsfusion_nb.recordings.convert import ConvertOptions, convert
+from gsfusion_nb.recordings.convert.formats import readable_layout
 from gsfusion_nb.types import Camera
 
 
@@ -37,6 +39,28 @@ def test_depth_camera_as_published(tmp_path, box, caplog):
     assert (frame.depth_m[10:] > 0).all()
     assert torch.allclose(frame.T_WC.double(), box.poses(2)[1], atol=1e-6)
     assert box.off_wall_m(frame) < 0.0005
+
+
+@pytest.mark.parametrize("place", ["seq-01/camera.json", "camera-intrinsics.txt", "info.txt"])
+def test_a_calibration_beside_the_images_counts(tmp_path, box, place):
+    """3DMatch, BundleFusion and others have the names of 7-Scenes and a camera of their own."""
+    root = write(tmp_path / "scene/seq-01", box)
+    file = tmp_path / "scene" / place
+    if file.suffix == ".json":
+        file.write_text('{"width": 640, "height": 480, "fx": 600, "fy": 601, "cx": 319.5, "cy": 239.5}')
+    elif file.name == "info.txt":
+        file.write_text("m_calibrationColorIntrinsic = 600 0 319.5 0 0 601 239.5 0 0 0 1 0 0 0 0 1")
+    else:
+        file.write_text("600 0 319.5\n0 601 239.5\n0 0 1\n")
+    assert readable_layout(root) == ""
+    with pytest.raises(SequenceError, match=rf"a calibration of its own, .*{file.name}; it is read by"):
+        open_sequence(root)
+    convert(root, tmp_path / "out", options=ConvertOptions(depth_scale=1000.0))
+    assert (folder(tmp_path / "out").camera.fx, folder(tmp_path / "out").camera.fy) == pytest.approx((600, 601))
+    own = Camera(width=640, height=480, fx=600.0, fy=601.0, cx=320.0, cy=240.0)
+    assert open_sequence(root, camera=own).source.camera == own
+    file.unlink()
+    assert readable_layout(root) == "seven_scenes"
 
 
 def test_registered(tmp_path, box):

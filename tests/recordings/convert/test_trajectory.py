@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import cv2
 import pytest
 import torch
 
@@ -64,6 +65,37 @@ def test_formats_and_interpolation(tmp_path, write):
     assert torch.allclose(T[:3, 3], torch.tensor([0.5, 0, 0], dtype=torch.float64), atol=1e-6)
     assert trajectory.pose_at(9.99) is None
     assert trajectory.pose_at(11.01) is None
+
+
+def test_axis_and_angle_of_arkitscenes(tmp_path, takes):
+    """Time, axis times angle and translation, world-to-camera; OpenCV's Rodrigues is the witness of the rotation."""
+    T_CW = se3.inverse(takes.T_WC)
+    lines = []
+    for i in range(len(takes)):
+        axis_angle = cv2.Rodrigues(T_CW[i, :3, :3].numpy())[0].ravel()
+        values = [100.0 + 0.1 * i, *axis_angle, *T_CW[i, :3, 3].tolist()]
+        lines.append(" ".join(f"{value:.12f}" for value in values))
+        takes.write(tmp_path / f"scan/rgb/47331606_{100.0 + 0.1 * i:.3f}.png", takes.png(i))
+        takes.write(tmp_path / f"scan/depth/47331606_{100.0 + 0.1 * i:.3f}.png", takes.depth_png(i))
+    c = takes.camera
+    pincam = tmp_path / "scan/rgb_intrinsics/47331606_100.000.pincam"
+    pincam.parent.mkdir()
+    pincam.write_text(f"{c.width} {c.height} {c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}")
+    (tmp_path / "scan/lowres_wide.traj").write_text("\n".join(lines))
+    convert(tmp_path / "scan", tmp_path / "out")
+    takes.check(tmp_path / "out", pose=1e-6)
+    (tmp_path / "poses.txt").write_text("\n".join(lines))
+    with pytest.raises(SequenceError, match=r"a quaternion of length 1, got one of length .*ARKitScenes"):
+        convert(tmp_path / "scan", tmp_path / "other", options=ConvertOptions(poses=str(tmp_path / "poses.txt")))
+
+
+def test_the_unit_of_a_trajectory_is_the_one_that_spans_the_frames(tmp_path):
+    """2,000 to 8,000 may be milliseconds at 1 Hz, or microseconds at 1 kHz: the frames tell."""
+    rows = [(1000.0 * i, 0.1 * i, 0, 0, 0, 0, 0, 1) for i in range(2, 9)]
+    (tmp_path / "p.txt").write_text(tum(rows))
+    assert "times read as ms" in read_trajectory(tmp_path / "p.txt").notes[-1]
+    assert "times read as ms" in read_trajectory(tmp_path / "p.txt", frame_time_s=5.0).notes[-1]
+    assert "times read as us" in read_trajectory(tmp_path / "p.txt", frame_time_s=0.005).notes[-1]
 
 
 def test_lost_poses_are_left_out(tmp_path):

@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from ....data.open import detect_layout
+from ....data.readers.seven_scenes import calibrated_folders
 from ....data.readers.tum import benchmark_camera
+from ....data.recorded.files import calibration_in
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import read_object
 from . import colmap, icl_nuim, images, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
@@ -24,14 +26,16 @@ def known_formats() -> dict[str, str]:
 def readable_layout(path: Path) -> str:
     """Layout in which a folder can be opened as it is; empty where it must be converted first.
 
-    That is so for lists of images as the TUM benchmark has them, but of another camera, and for a plain folder without
-    the unit of its depth.
+    That is so for lists and images as the TUM benchmark and 7-Scenes have them, but of another camera, and for a plain
+    folder without the unit of its depth.
     """
     try:
         layout = detect_layout(path) if path.is_dir() else ""
     except SequenceError:
         return ""
     if layout == "folder" and "depth_scale" not in read_object(path / "intrinsics.json", "the camera's intrinsics"):
+        return ""
+    if layout == "seven_scenes" and calibration_in(*calibrated_folders(path)) is not None:
         return ""
     return "" if layout == "tum" and not benchmark_camera(path) else layout
 

@@ -23,7 +23,7 @@ from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundErro
 from ....files import is_file, open_regular, parsing, read_exactly, read_text
 from ....geometry import quaternion, se3
 from ....types import Camera
-from ..camera import model_of
+from ..intrinsics import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair, read_depth_file
 
 _MODELS = {
@@ -193,6 +193,10 @@ _MODEL_PLACES = ("", "sparse/*", "sparse", "[0-9]*")
 _DEPTH_PLACES = ("depth", "depths", "depth_maps")
 _MEASURED_IMAGES = 20
 _FEWEST_RATIOS = 30
+_LARGEST_SPREAD_PERCENT = 30.0
+"""Interquartile range over median. Depth of a sensor has 1 to 5, also where a tenth of the points are wrong."""
+_INVERSE_DEPTH = "depth_params.json"
+"""Beside the model where ``depths/`` holds inverse depth for 3D Gaussian splatting."""
 
 LOOKS_FOR = "cameras and images, .bin or .txt, also in sparse/0, sparse/1 ..."
 
@@ -214,6 +218,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     images = sorted(images, key=lambda i: natural_order(Path(i.name)))
     colour = _beside(path, folder, ("images",), "colour images")
     depth = Path(options.depth) if options.depth else _beside(path, folder, _DEPTH_PLACES, "depth images (--depth)")
+    if not options.depth and (folder / _INVERSE_DEPTH).is_file():
+        raise SequenceError(
+            f"{folder / _INVERSE_DEPTH} says that {depth} holds inverse depth, as for the depth regularisation of 3D "
+            "Gaussian splatting: no distances; give a folder of measured depth with --depth"
+        )
     if not depth.is_dir():
         raise SequenceNotFoundError(f"{depth} is not a folder; expected the depth images that belong to {colour}")
     scale = options.depth_scale or 1000.0
@@ -247,6 +256,13 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             return 1.0, f"only {len(ratios)} sparse points have depth, too few to measure it"
         low, middle, high = statistics.quantiles(ratios, n=4)
         spread = 100 * (high - low) / middle
+        if spread > _LARGEST_SPREAD_PERCENT:
+            raise SequenceError(
+                f"{depth} does not hold the depth of this model: in metres per unit of the model, half of the "
+                f"{len(ratios)} sparse points with depth lie within {spread:.0f} %, and must within "
+                f"{_LARGEST_SPREAD_PERCENT:g} %; inverse depth must be inverted first; --scale and --depth-scale tell "
+                "a unit"
+            )
         return middle, f"measured on {len(ratios)} sparse points with depth, half of them within {spread:.1f} %"
 
     return Recording(

@@ -17,15 +17,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ....data.lens import CameraModel
+from ....data.readers.seven_scenes import calibrated_folders
 from ....data.readers.tum import LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
-from ....data.recorded.files import images_in, natural_order
+from ....data.recorded.files import CALIBRATION_SUFFIXES, calibration_in, images_in, natural_order
 from ....data.recorded.images import read_rgb
 from ....data.recorded.times import Stamps, associate, common_unit, judge_stamps
 from ....data.sequence import BadFrameError, SequenceError
 from ....files import is_file
-from ..camera import read_intrinsics
 from ..depth_unit import find_depth_unit, some_depths
 from ..focal_length import estimated_model
+from ..intrinsics import read_intrinsics
 from ..recording import (
     DEPTH_SUFFIXES,
     ConvertOptions,
@@ -38,7 +39,7 @@ from ..recording import (
 )
 from ..trajectory import frame_key
 
-COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm")
+COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".webp")
 _SUFFIXES = {"colour": COLOUR_SUFFIXES, "depth": DEPTH_SUFFIXES}
 _SAYS = {"colour": re.compile(r"rgb|colou?r|image|img|photo"), "depth": re.compile(r"depth|range")}
 _LARGEST_MATRIX = 16
@@ -109,11 +110,23 @@ def _numbered(path: Path, kind: str, fits: dict[str, list[Path]], given: str) ->
             choices=names,
         )
     source = str(path / given)
-    texts = [re.findall(r"\d+(?:\.\d+)?", p.stem) for p in files]
-    if any(len(found) != 1 for found in texts):
+    texts = _varying_numbers([p.stem for p in files])
+    if texts is None:
         return Numbered(source, files, None)
-    numbers = [float(found[0]) for found in texts]
-    return Numbered(source, files, numbers, padded=any(re.match(r"0\d", found[0]) for found in texts))
+    padded = any(re.match(r"0\d", text) for text in texts)
+    return Numbered(source, files, [float(text) for text in texts], padded=padded)
+
+
+def _varying_numbers(stems: list[str]) -> list[str] | None:
+    """The number in each name, as written; of several numbers the one that is not the same in all names.
+
+    None where the names do not hold one such number each.
+    """
+    columns = [re.findall(r"\d+(?:\.\d+)?", stem) for stem in stems]
+    if len({len(texts) for texts in columns}) != 1:
+        return None
+    varying = [texts for texts in zip(*columns, strict=True) if len(set(texts)) > 1 or len(columns[0]) == 1]
+    return list(varying[0]) if len(varying) == 1 else None
 
 
 @dataclass(frozen=True)
@@ -287,12 +300,18 @@ def paired_by_name(path: Path, rgb: list[Path], depth: list[Path]) -> list[tuple
 
 
 _OF_DEPTH = ("intrinsic/intrinsic_depth.*", "intrinsic_depth.*", "depth_intrinsic*")
-_CALIBRATIONS = (
-    "intrinsic/intrinsic_color.*", "intrinsic_color.*", "K.*", "intrinsic*", "calib*", "camera.*", "camera[_-]*",
-    "cam_params.json",
-)  # fmt: skip
-_CAMERA_SUFFIXES = (".txt", ".json", ".npy", ".yaml", ".yml")
-_POSES = ("groundtruth.*", "poses.*", "pose.*", "*poses.*", "traj*", "CameraTrajectory.txt", "pos.*", "pose", "poses")
+_POSES = (
+    "groundtruth.*",
+    "poses.*",
+    "pose.*",
+    "*poses.*",
+    "traj*",
+    "*.traj",
+    "CameraTrajectory.txt",
+    "pos.*",
+    "pose",
+    "poses",
+)
 
 
 def _beside(path: Path, patterns: Sequence[str], suffixes: Sequence[str]) -> str:
@@ -322,13 +341,13 @@ def recording_of(
         scale, *unit = find_depth_unit(path, some_depths([depth for _, depth in found.pairs]))
     of_folder, about = _model(path, found, scale, options)
     model = of_folder or model
-    of_depth, depth_model = _beside(path, _OF_DEPTH, _CAMERA_SUFFIXES), None
+    of_depth, depth_model = _beside(path, _OF_DEPTH, CALIBRATION_SUFFIXES), None
     if of_depth:
         height, width = read_depth_file(next((d for _, d in found.pairs if is_file(d)), found.pairs[0][1]), 1.0).shape
         depth_model = read_intrinsics(of_depth, (width, height))
         about.append(f"intrinsics of depth from {of_depth}")
     images = found.pairs[0][0].parent
-    poses = _beside(path, _POSES, (".txt", ".csv", ".npy", "")) or str(images) * any(images.glob("*pose.txt"))
+    poses = _beside(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or str(images) * any(images.glob("*pose.txt"))
     unknown = [None] * len(found.pairs)
     frames = [*zip(found.pairs, found.times_s or unknown, found.depth_times_s or unknown, T_WC or unknown, strict=True)]
 
@@ -360,7 +379,7 @@ def _model(
     path: Path, found: FrameFiles, scale: float, options: ConvertOptions
 ) -> tuple[CameraModel | None, list[str]]:
     """Camera of the options, of a calibration file or of the benchmark, if any, and a sentence that names it."""
-    file = options.intrinsics or _beside(path, _CALIBRATIONS, _CAMERA_SUFFIXES)
+    file = options.intrinsics or str(calibration_in(*calibrated_folders(path)) or "")
     if options.intrinsics == "estimate":
         model, sentence = estimated_model(found.pairs, scale)
         return model, [sentence]

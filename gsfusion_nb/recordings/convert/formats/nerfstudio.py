@@ -1,5 +1,5 @@
-"""Nerfstudio's ``transforms.json``, also as written by instant-ngp, Polycam and similar programs, with
-``depth_file_path``.
+"""Nerfstudio's ``transforms.json``, also as written by instant-ngp, NeRFCapture, Polycam and similar programs, with the
+depth image of each frame in ``depth_file_path`` or ``depth_path``.
 
 Poses are camera-to-world with OpenGL axes (y up, z backward), converted to OpenCV axes by C2W diag(1, -1, -1, 1). Pixel
 centres at 0.5. Intrinsics are global or per frame; k1..k4, p1, p2 are removed. ``applied_transform`` and
@@ -8,6 +8,7 @@ Depth is in millimetres unless ``depth_scale``, ``integer_depth_scale`` or ``dep
 """
 
 import math
+import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -25,10 +26,15 @@ from ....data.recorded.poses import GL_TO_CV
 from ....data.sequence import SequenceError
 from ....files import is_file, parsing, read_object
 from ....geometry import se3
-from ..camera import model_of
+from ..intrinsics import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
+
+_DEPTH_KEYS = ("depth_file_path", "depth_path")
+"""Of nerfstudio, and of instant-ngp and NeRFCapture."""
+_OTHER_LENS = re.compile(r"(is_)?(equirectangular|latlong|orthographic|ftheta)\w*|ftheta_\w+|lens|xi")
+"""Names of lenses that are neither a pinhole nor OpenCV's fisheye."""
 
 LOOKS_FOR = "transforms.json"
 
@@ -46,9 +52,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     values = read_object(file, "nerfstudio transforms")
     frames = values["frames"]
     frames = sorted(frames, key=lambda f: natural_order(Path(f["file_path"])))
-    if not options.depth and not any("depth_file_path" in f for f in frames):
+    if not options.depth and not any(key in f for f in frames for key in _DEPTH_KEYS):
         raise SequenceError(
-            f"{file} has no depth_file_path; RGB-D mapping needs depth: give its folder with --depth, or add the key"
+            f"{file} has no {' or '.join(_DEPTH_KEYS)}; "
+            "RGB-D mapping needs depth: give its folder with --depth, or add the key"
         )
     world, notes = _undo(values, file)
     scale = options.depth_scale or _depth_scale(values, file)
@@ -117,6 +124,9 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
     if name not in _MODELS:
         raise SequenceError(f"{file}: cannot undistort camera_model {shown(name)}; known: {', '.join(_MODELS)}")
     source = f"{file}: the camera of {colour.name}"
+    other = next((key for key, value in values.items() if value and _OTHER_LENS.fullmatch(key)), None)
+    if other is not None:
+        raise SequenceError(f"{source} has {other}, a lens that cannot be undistorted here; undistort the images first")
     if "w" in values and "h" in values:
         width, height = (int(number(values, key, 0, source)) for key in ("w", "h"))
     else:
@@ -129,7 +139,7 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
             fy = 0.5 * height / math.tan(0.5 * float(values["camera_angle_y"])) if "camera_angle_y" in values else fx
         cx, cy = (float(values.get(k, half)) for k, half in (("cx", width / 2), ("cy", height / 2)))
         k = [float(values.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3", "k4")]
-    fisheye = name == "OPENCV_FISHEYE"
+    fisheye = name == "OPENCV_FISHEYE" or bool(values.get("is_fisheye"))
     if not fisheye and k[5]:  # a numerator term in nerfstudio, a denominator term in OpenCV
         raise SequenceError(
             f"{source} has k4 = {k[5]:g}, which only a fisheye may have here; undistort the images first"
@@ -147,7 +157,10 @@ def _image(path: Path) -> Path:
 def _depth(frame: dict[str, Any], file: Path, colour: Path, options: ConvertOptions) -> Path:
     if options.depth:
         return find_depth(Path(options.depth), colour.stem)
-    return file.parent / frame.get("depth_file_path", f"depth of {colour.name}, which the file does not name")
+    named = next((frame[key] for key in _DEPTH_KEYS if key in frame), None)
+    if named is None:
+        return file.parent / f"depth of {colour.name}, which the file does not name"
+    return _image(file.parent / named)
 
 
 def _depth_scale(values: dict[str, Any], file: Path) -> float:

@@ -19,7 +19,7 @@ from ....data.recorded.files import images_in, natural_order
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
-from ..camera import model_of_object
+from ..intrinsics import model_of_tree
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, Recording
 from .images import FrameFiles, paired_by_name, recording_of
 
@@ -82,7 +82,7 @@ def _read_json(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel
         extrinsics = torch.tensor([entry["extrinsic"] for entry in entries], dtype=torch.float64).reshape(-1, 4, 4)
         poses = dict(enumerate(se3.inverse(extrinsics.mT)))
         intrinsic = entries[0].get("intrinsic")
-        return poses, None if intrinsic is None else model_of_object(intrinsic, None, str(path), centre=0.0)
+        return poses, None if intrinsic is None else model_of_tree(intrinsic, None, str(path), centre=0.0)
 
 
 def _trajectory(path: Path) -> Path | None:

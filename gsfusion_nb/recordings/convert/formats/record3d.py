@@ -25,7 +25,7 @@ from ....data.recorded.images import read_image_bytes
 from ....data.recorded.poses import GL_TO_CV, matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
-from ..camera import model_of
+from ..intrinsics import model_of
 from ..recording import (
     ConvertOptions,
     RecordedFrame,

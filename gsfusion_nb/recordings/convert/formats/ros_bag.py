@@ -24,7 +24,7 @@ from ....data.lens import CameraModel
 from ....data.recorded.times import associate
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import open_regular, parsing
-from ..camera import model_of
+from ..intrinsics import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
 from ..trajectory import Trajectory, camera_in_body
 from .ros_messages import (

@@ -23,7 +23,7 @@ from ....data.recorded.poses import image_number
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import inflate, open_regular, read_exactly
 from ....geometry import se3
-from ..camera import model_of_matrix
+from ..intrinsics import model_of_matrix
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, find_depth, metres, with_colour
 from .images import FrameFiles, recording_of
 

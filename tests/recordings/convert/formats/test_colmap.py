@@ -115,6 +115,23 @@ def test_reads_what_was_written_and_measures_the_scale(tmp_path, takes, suffix):
     assert float(note.split("taken as ")[1].split()[0]) == pytest.approx(UNIT_M, rel=1e-4)
 
 
+def test_inverse_depth_is_refused(tmp_path, takes):
+    """As prepared for the depth regularisation of 3D Gaussian splatting; and without the file that says so."""
+    root = write_colmap(tmp_path / "scan", takes, ".txt")
+    (root / "depth").rename(root / "depths")
+    for i in range(len(takes)):
+        inverse = np.where(takes.depth_m[i] > 0, 1 / np.maximum(takes.depth_m[i], 0.1), 0)
+        file = root / f"depths/left/frame{i + 8}.png"
+        cv2.imwrite(str(file), np.rint(inverse / inverse.max() * 60000).astype(np.uint16))
+    params = root / "sparse/0/depth_params.json"
+    params.write_text("{}")
+    with pytest.raises(SequenceError, match=r"depth_params\.json says that .*depths holds inverse depth"):
+        convert(root, tmp_path / "out")
+    params.unlink()
+    with pytest.raises(SequenceError, match=r"does not hold the depth of this model: .* must within 30 %"):
+        convert(root, tmp_path / "out")
+
+
 def test_scale_can_be_given(tmp_path, takes):
     root = write_colmap(tmp_path / "scan", takes, ".bin", points=False)
     convert(root, tmp_path / "out", options=ConvertOptions(scale=UNIT_M))

@@ -2,6 +2,7 @@
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_forma
 GL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
 
-def write_nerfstudio(root, takes, world=None, *, per_frame=False, **changes):
+def write_nerfstudio(root, takes, world=None, *, per_frame: Any = False, **changes):
     c = takes.camera
     world = torch.eye(4, dtype=torch.float64) if world is None else world
     own = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height}
@@ -41,6 +42,36 @@ def test_reads_what_was_written(tmp_path, takes, per_frame):
     assert detect_format(root) == detect_format(root / "transforms.json") == "nerfstudio"
     convert(root, tmp_path / "out")
     takes.check(tmp_path / "out")
+
+
+def test_depth_of_instant_ngp_and_nerfcapture(tmp_path, takes):
+    """They call it depth_path, and may write names without suffix."""
+    root = write_nerfstudio(tmp_path / "scan", takes)
+    values = json.loads((root / "transforms.json").read_text())
+    for frame in values["frames"]:
+        frame["file_path"] = frame["file_path"].removesuffix(".png")
+        frame["depth_path"] = frame.pop("depth_file_path").removesuffix(".png")
+    (root / "transforms.json").write_text(json.dumps(values))
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out")
+
+
+def test_is_fisheye_is_a_fisheye(tmp_path, takes):
+    lens = {"k1": 0.02, "k2": -0.01, "k3": 0.003, "k4": -0.001}
+    named = write_nerfstudio(tmp_path / "a", takes, **{"camera_model": "OPENCV_FISHEYE"} | lens)
+    switched = write_nerfstudio(tmp_path / "b", takes, **{"is_fisheye": True} | lens)
+    convert(named, tmp_path / "named")
+    convert(switched, tmp_path / "switched")
+    assert (tmp_path / "named/intrinsics.json").read_text() == (tmp_path / "switched/intrinsics.json").read_text()
+    depth_files = [tmp_path / name / "depth/000001.png" for name in ("named", "switched")]
+    assert depth_files[0].read_bytes() == depth_files[1].read_bytes() != takes.depth_png(1)
+
+
+@pytest.mark.parametrize("key", ["is_equirectangular", "ftheta_p0", "orthographic", "xi"])
+def test_other_lenses_are_refused_by_name(tmp_path, takes, key):
+    root = write_nerfstudio(tmp_path / "scan", takes, **{key: 1.0})
+    with pytest.raises(SequenceError, match=f"has {key}, a lens that cannot be undistorted"):
+        convert(root, tmp_path / "out")
 
 
 def test_applied_transform_and_scale_are_undone(tmp_path, takes):

@@ -1,0 +1,386 @@
+"""Camera intrinsics as other programs write them: numbers, matrices, JSON, YAML, and lines that name values.
+
+Every way is first made a tree of names and values, and one function takes the camera out of it (``model_of_tree``). A
+name that looks like a part of the lens and is not known is refused, because leaving it out would change the camera.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ...checks import shown
+from ...data.lens import CameraModel
+from ...data.sequence import SequenceError
+from ...files import parsing, read_object, read_text, refusing
+from ...types import Camera
+from .recording import read_array
+from .trajectory import read_numbers
+
+WAYS = (
+    "'fx fy cx cy [k1 k2 p1 p2 [k3 ...]]', the focal length alone, a 3x3 or 4x4 matrix, lines such as 'fx: 525', "
+    "JSON (Open3D's, RealSense's, or fx fy cx cy), YAML (ORB-SLAM's, OpenCV's, ROS's, Kalibr's, RTAB-Map's), or "
+    "ARKitScenes' .pincam"
+)
+
+Tree = Mapping[str, Any]
+
+
+def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float = 0.0) -> CameraModel:
+    """Camera of an option: numbers, or a file.
+
+    Args:
+        text_or_file: One of ``WAYS``.
+        size: Width and height of the colour images, pixels; a file with a size of its own overrides it.
+        centre: Where the intrinsics put the centre of the first pixel, 0 or 0.5; JSON may say ``pixel_centre``.
+
+    Raises:
+        SequenceError: none of these, a focal length that is not positive, several cameras of which none is said to be
+            colour, or a part of the lens that is not known.
+    """
+    path = Path(text_or_file)
+    if path.suffix.lower() == ".json":
+        return model_of_tree(read_object(path, f"the camera's intrinsics as {WAYS}"), size, str(path), centre=centre)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return model_of_tree(_yaml_tree(path), size, str(path), centre=centre)
+    try:
+        values = [float(w) for w in text_or_file.replace(",", " ").split()]
+        source = f"intrinsics {shown(text_or_file)}"
+    except ValueError:
+        tree = {} if path.suffix == ".npy" else _named_values(read_text(path, WAYS))
+        if tree:
+            return model_of_tree(tree, size, str(path), centre=centre)
+        values = _numbers_of(path)
+        source = str(path)
+    if path.suffix == ".pincam" and len(values) == 6:
+        size = (round(values[0]), round(values[1]))
+        values = values[2:]
+    if len(values) == 1:
+        values = [values[0], values[0], size[0] / 2 - 0.5 + centre, size[1] / 2 - 0.5 + centre]
+    if len(values) in (9, 16) and values[-1] == 1:
+        return model_of_matrix(values, size, source, centre=centre)
+    if len(values) not in (4, 8, 9, 12, 16, 18):
+        raise SequenceError(f"{source} must be {WAYS}, got {len(values)} numbers")
+    return model_of(values[:4], size, source, centre=centre, distortion=tuple(values[4:]))
+
+
+def model_of(
+    values: list[float],
+    size: tuple[int, int],
+    source: str,
+    *,
+    centre: float,
+    distortion: tuple[float, ...] = (),
+    fisheye: bool = False,
+) -> CameraModel:
+    """Camera of fx, fy, cx, cy and its distortion in OpenCV's order."""
+    if not all(math.isfinite(v) for v in (*values, *distortion)) or values[0] <= 0 or values[1] <= 0:
+        raise SequenceError(
+            f"{source}: the focal lengths must be > 0 and all intrinsics finite, got {values[0]:g} and {values[1]:g}"
+        )
+    fx, fy, cx, cy = values
+    shift = 0.5 - centre
+    with refusing(f"{source}: "):
+        camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
+    return CameraModel(camera, distortion if any(distortion) or fisheye else (), fisheye)
+
+
+def model_of_matrix(
+    values: list[float],
+    size: tuple[int, int],
+    source: str,
+    *,
+    centre: float,
+    distortion: tuple[float, ...] = (),
+    fisheye: bool = False,
+) -> CameraModel:
+    """Camera of a row-major 3x3 or 4x4 matrix with fx, fy on the diagonal and cx, cy in the third column."""
+    n = 3 if len(values) == 9 else 4
+    if len(values) != n * n or abs(values[n * n - 1] - 1) > 1e-9:
+        raise SequenceError(f"{source} must be a 3x3 or 4x4 matrix with fx 0 cx / 0 fy cy / 0 0 1, row by row")
+    if abs(values[1]) > 1e-3 * abs(values[0]) or abs(values[2 * n]) > 1e-6 or abs(values[2 * n + 1]) > 1e-6:
+        raise SequenceError(
+            f"{source} must be a matrix with fx 0 cx / 0 fy cy / 0 0 1, row by row; this one looks transposed or skewed"
+        )
+    pinhole = [values[0], values[n + 1], values[2], values[n + 2]]
+    return model_of(pinhole, size, source, centre=centre, distortion=distortion, fisheye=fisheye)
+
+
+# ---- A camera in a tree of names and values --------------------------------------------------------------------------
+
+_PINHOLES = (("fx", "fy", "cx", "cy"), ("fx", "fy", "ppx", "ppy"), ("fl_x", "fl_y", "cx", "cy"))
+_MATRICES = ("K", "camera_matrix", "cameraMatrix", "m_calibrationColorIntrinsic")
+"""The last is BundleFusion's and ScanNet's."""
+_OPEN3D = "intrinsic_matrix"
+"""The matrix of Open3D, column by column."""
+_FOUR = "intrinsics"
+"""Kalibr's fx, fy, cx, cy."""
+_SIZES = (("width", "height"), ("image_width", "image_height"), ("w", "h"), ("m_colorWidth", "m_colorHeight"))
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
+_LISTS = (
+    "distortion_coefficients",
+    "distortion_coeffs",
+    "distCoeffs",
+    "dist_coeffs",
+    "distortion",
+    "coeffs",
+    "D",
+)
+_LENSES = ("distortion_model", "type", "model", "camera_model")
+_BROWN = (
+    "",
+    "brown_conrady",
+    "none",
+    "opencv",
+    "perspective",
+    "pinhole",
+    "plumb_bob",
+    "radtan",
+    "rational_polynomial",
+    "simple_pinhole",
+)
+_FISHEYE = ("equidistant", "equi", "fisheye", "kannalabrandt8", "kannala_brandt4", "opencv_fisheye")
+_OF_A_LENS = re.compile(r"k\d+|p\d+|xi|alpha|beta|skew|s|radial\w*|tangential\w*|distort\w*|is_fisheye|fisheye")
+"""Names of what changes a camera."""
+_REALSENSE = (
+    "none",
+    "modified_brown_conrady",
+    "inverse_brown_conrady",
+    "ftheta",
+    "brown_conrady",
+    "kannala_brandt4",
+)
+"""Lenses of librealsense, by their number."""
+_SAYS_COLOUR = re.compile(r"(?i)rgb|colou?r")
+
+
+def model_of_tree(tree: Tree, size: tuple[int, int] | None, source: str, *, centre: float) -> CameraModel:
+    """The camera among names and values, which may be in groups.
+
+    Args:
+        tree: Of a file.
+        size: Width and height of the images, where the tree has none; None: it must have them.
+        source: The file, for messages.
+        centre: Where it puts the centre of the first pixel, 0 or 0.5, unless it says ``pixel_centre`` itself.
+
+    Raises:
+        SequenceError: no camera, several of which none is said to be colour, or a part of a lens that is not known.
+    """
+    found = dict(_cameras(tree, ""))
+    if len(found) > 1:
+        colour = [name for name in found if _SAYS_COLOUR.search(name)]
+        found = {name: found[name] for name in colour} if len(colour) == 1 else found
+    if not found:
+        names = ", ".join(map(str, tree)) or "nothing"
+        raise SequenceError(f"{source} holds no camera in a way that is known, but {shown(names)}; known: {WAYS}")
+    if len(found) > 1:
+        raise SequenceError(
+            f"{source} holds {len(found)} cameras, {', '.join(found)}; give that of the colour images as "
+            "--intrinsics 'fx fy cx cy [k1 k2 p1 p2 k3]'"
+        )
+    ((_, values),) = found.items()
+    with parsing(source, f"a camera's intrinsics as {WAYS}"):
+        return _model_of_values(values, size, source, centre)
+
+
+def _cameras(tree: Tree, path: str, outer: Tree = MappingProxyType({})) -> Iterator[tuple[str, Tree]]:
+    """Path and values of each group that holds a camera, with the single values of the groups around it.
+
+    ORB-SLAM3 has the focal lengths in Camera1 and the size of the images in Camera.
+    """
+    four = tree.get(_FOUR)
+    is_kalibr = isinstance(four, list | tuple) and len(four) == 4
+    has_matrix = any(name in tree for name in (*_MATRICES, _OPEN3D))
+    if is_kalibr or has_matrix or any(set(names) <= tree.keys() for names in _PINHOLES):
+        yield path or "the camera", {**outer, **tree}
+        return
+    shared = tree.get("Camera")
+    single = {**outer, **_single_values(tree)}
+    if isinstance(shared, Mapping):
+        single |= _single_values(shared)
+    for name, values in tree.items():
+        if isinstance(values, Mapping):
+            yield from _cameras(values, f"{path}.{name}" if path else str(name), single)
+
+
+def _single_values(tree: Tree) -> dict[str, Any]:
+    return {name: value for name, value in tree.items() if not isinstance(value, Mapping | list | tuple)}
+
+
+def _model_of_values(values: Tree, size: tuple[int, int] | None, source: str, centre: float) -> CameraModel:
+    stored_size = _size(values) or size
+    if stored_size is None:
+        raise SequenceError(f"{source} lacks the size of the images; expected width and height")
+    centre = float(values.get("pixel_centre", centre))
+    fisheye = _is_fisheye(values, source)
+    coefficients = _coefficients(values, source, fisheye=fisheye)
+    lens = {"distortion": coefficients, "fisheye": fisheye}
+    names = next((names for names in _PINHOLES if set(names) <= values.keys()), None)
+    if names is not None:
+        return model_of([float(values[name]) for name in names], stored_size, source, centre=centre, **lens)
+    if _OPEN3D in values:
+        column_major = _list_of(values[_OPEN3D])
+        matrix = np.array(column_major).reshape(3, 3).T.ravel().tolist()
+        return model_of_matrix(matrix, stored_size, f"{source}: {_OPEN3D} (column by column)", centre=centre, **lens)
+    matrix_name = next((name for name in _MATRICES if name in values), None)
+    if matrix_name is not None:
+        matrix = _list_of(values[matrix_name])
+        return model_of_matrix(matrix, stored_size, f"{source}: {matrix_name}", centre=centre, **lens)
+    return model_of(_list_of(values[_FOUR]), stored_size, source, centre=centre, **lens)
+
+
+def _size(values: Tree) -> tuple[int, int] | None:
+    resolution = values.get("resolution")
+    if isinstance(resolution, list | tuple) and len(resolution) == 2:
+        return round(float(resolution[0])), round(float(resolution[1]))
+    names = next((names for names in _SIZES if set(names) <= values.keys()), None)
+    return None if names is None else (round(float(values[names[0]])), round(float(values[names[1]])))
+
+
+def _list_of(value: Any) -> list[float]:
+    """Numbers of a list, of rows, or of OpenCV's and ROS's matrices, which have ``data``."""
+    if isinstance(value, Mapping):
+        value = value["data"]
+    return np.ravel(np.array(value, dtype=float)).tolist()
+
+
+def _is_fisheye(values: Tree, source: str) -> bool:
+    """Whether the lens is a fisheye. Raises ``SequenceError`` for one that OpenCV's two models are not."""
+    if values.get("is_fisheye") or values.get("fisheye"):
+        return True
+    names = [_lens_name(values[name]) for name in _LENSES if isinstance(values.get(name), str | int)]
+    if any(name in _FISHEYE for name in names):
+        return True
+    unknown = [name for name in names if name not in _BROWN]
+    named = [values.get(name, 0.0) for name in _COEFFICIENTS]
+    if unknown and (any(_listed_coefficients(values)) or any(map(_is_not_zero, named))):
+        raise SequenceError(
+            f"{source}: the lens {shown(unknown[0])} with other coefficients than 0 cannot be undistorted; known: "
+            f"{', '.join(name for name in (*_BROWN, *_FISHEYE) if name)}"
+        )
+    return False
+
+
+def _lens_name(value: str | int) -> str:
+    """The name of a lens in small letters: "distortion.brown_conrady" and librealsense's 4 are one."""
+    if isinstance(value, int):
+        return _REALSENSE[value] if 0 <= value < len(_REALSENSE) else f"number {value}"
+    return value.lower().rsplit(".", 1)[-1]
+
+
+def _coefficients(values: Tree, source: str, *, fisheye: bool) -> tuple[float, ...]:
+    """The distortion in OpenCV's order; () where there is none."""
+    names = _FISHEYE_COEFFICIENTS if fisheye else _COEFFICIENTS
+    for name, value in values.items():
+        known = name in names or name in _LISTS or name in ("is_fisheye", "fisheye", *_LENSES)
+        if _OF_A_LENS.fullmatch(str(name)) and not known and _is_not_zero(value):
+            raise SequenceError(
+                f"{source}: {name} = {shown(value)} changes the camera in a way that is not known here; undistort the "
+                f"images first; known: {', '.join(names)}"
+            )
+    listed = _listed_coefficients(values)
+    named = [float(values.get(name, 0.0)) for name in names]
+    if any(listed):
+        if fisheye and len(listed) != len(_FISHEYE_COEFFICIENTS):
+            raise SequenceError(f"{source}: a fisheye must have the coefficients k1 k2 k3 k4, got {len(listed)}")
+        return tuple(listed)
+    while len(named) > 5 and not named[-1]:
+        named.pop()
+    return tuple(named) if any(named) or fisheye else ()
+
+
+def _listed_coefficients(values: Tree) -> list[float]:
+    name = next((name for name in _LISTS if name in values), None)
+    if name is None or isinstance(values[name], str):
+        return []
+    value = values[name]
+    if isinstance(value, Mapping) and "data" not in value:
+        return [float(value.get(coefficient, 0.0)) for coefficient in _COEFFICIENTS]
+    return _list_of(value)
+
+
+def _is_not_zero(value: Any) -> bool:
+    try:
+        return bool(np.any(np.array(value, dtype=float) != 0))
+    except (TypeError, ValueError):
+        return True
+
+
+# ---- Files -----------------------------------------------------------------------------------------------------------
+
+
+class _CameraLoader(yaml.SafeLoader):
+    """YAML without code, with OpenCV's matrices as plain groups."""
+
+
+def _plain_group(loader: Any, node: Any) -> dict[str, Any]:
+    return loader.construct_mapping(node, deep=True)
+
+
+for _tag in ("opencv-matrix", "opencv-nd-matrix"):
+    _CameraLoader.add_constructor(f"tag:yaml.org,2002:{_tag}", _plain_group)
+
+
+def _yaml_tree(path: Path) -> Tree:
+    """Names and values of a YAML file, also of one that OpenCV wrote; names with dots become groups."""
+    text = re.sub(r"^%YAML:[\d.]+", "", read_text(path, WAYS))
+    with parsing(path, f"the camera's intrinsics as {WAYS}"):
+        try:
+            tree = yaml.load(text, _CameraLoader)  # a SafeLoader
+        except yaml.YAMLError:
+            tree = None
+    if not isinstance(tree, Mapping):
+        tree = _named_values(text)
+    return _in_groups(tree)
+
+
+def _in_groups(tree: Tree) -> Tree:
+    """``{"Camera.fx": 525}`` as ``{"Camera": {"fx": 525}}``."""
+    groups: dict[str, Any] = {}
+    for name, value in tree.items():
+        *path, last = str(name).split(".")
+        node = groups
+        for part in path:
+            node = node.setdefault(part, {})
+        node[last] = value
+    return groups
+
+
+_LINE = re.compile(r"^\W*([A-Za-z_][\w.]*)[\"']?\s*[:=\s]\s*(\S.*?)\s*$")
+_SECTION = re.compile(r"^\s*\[([^\]]*[A-Za-z][^\]]*)\]\s*$")
+
+
+def _named_values(text: str) -> Tree:
+    """Names and numbers of lines such as "fx: 525", in sections such as "[rgb]"; empty where nothing has a name."""
+    tree: dict[str, Any] = {}
+    group = tree
+    for line in text.splitlines():
+        section = _SECTION.match(line)
+        if section:
+            group = tree.setdefault(section[1], {})
+            continue
+        for part in re.split(r"[,;](?=\s*[A-Za-z_])", line):
+            named = _LINE.match(part)
+            if named and not line.lstrip().startswith(("#", "//")):
+                group[named[1]] = _value(named[2])
+    return _in_groups(tree)
+
+
+def _value(text: str) -> Any:
+    """A number, a list of numbers, or the text without its quotes."""
+    words = text.strip("[]() ").replace(",", " ").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return text.strip("\"'")
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _numbers_of(path: Path) -> list[float]:
+    return read_array(path, WAYS).ravel().tolist() if path.suffix == ".npy" else read_numbers(path, WAYS)

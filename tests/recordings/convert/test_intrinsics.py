@@ -1,0 +1,176 @@
+"""Calibration files as other programs write them: what each means, and what is refused by name."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from gsfusion_nb.data import SequenceError
+from gsfusion_nb.recordings.convert.intrinsics import read_intrinsics
+
+K = (208.5, 209.5, 159.0, 119.25)
+BROWN = (0.26, -0.95, -0.005, 0.0026, 1.16)
+FISHEYE = (0.01, -0.02, 0.003, -0.004)
+SIZE = (320, 240)
+
+ORB = """%YAML:1.0
+
+# Camera calibration and distortion parameters (OpenCV)
+Camera.type: "{type}"
+Camera.fx: 208.5
+Camera.fy: 209.5
+Camera.cx: 159.0
+Camera.cy: 119.25
+
+Camera.k1: {k[0]}
+Camera.k2: {k[1]}
+{p}
+Camera.width: 320
+Camera.height: 240
+Camera.fps: 30.0
+Camera.bf: 40.0
+Camera.RGB: 1
+ThDepth: 40.0
+DepthMapFactor: 5000.0
+"""
+ORB_BROWN = ORB.format(type="PinHole", k=BROWN, p="Camera.p1: -0.005\nCamera.p2: 0.0026\nCamera.k3: 1.16")
+ORB_FISHEYE = ORB.format(type="KannalaBrandt8", k=FISHEYE, p="Camera.k3: 0.003\nCamera.k4: -0.004")
+ORB_3 = ORB_BROWN.replace("Camera.f", "Camera1.f").replace("Camera.c", "Camera1.c").replace("Camera.k", "Camera1.k")
+ORB_3 = ORB_3.replace("Camera.p", "Camera1.p").replace("Camera1.fps", "Camera.fps")
+KALIBR = """cam0:
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: {coefficients}
+  distortion_model: {model}
+  intrinsics: [208.5, 209.5, 159.0, 119.25]
+  resolution: [320, 240]
+  rostopic: /rgb
+"""
+ROS = """image_width: 320
+image_height: 240
+camera_name: rgb
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [208.5, 0, 159.0, 0, 209.5, 119.25, 0, 0, 1]
+distortion_model: {model}
+distortion_coefficients:
+  rows: 1
+  cols: {n}
+  data: {coefficients}
+rectification_matrix: {{rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}}
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [200.0, 0, 160.0, 0, 0, 201.0, 120.0, 0, 0, 0, 1, 0]
+"""
+ROS_BROWN = ROS.format(model="plumb_bob", n=5, coefficients=list(BROWN))
+OPENCV_HEAD = "%YAML:1.0\n---\n"
+REALSENSE = {"width": 320, "height": 240, "fx": 208.5, "fy": 209.5, "ppx": 159.0, "ppy": 119.25}
+OPEN3D = {"width": 320, "height": 240, "intrinsic_matrix": [208.5, 0, 0, 0, 209.5, 0, 159.0, 119.25, 1]}
+BUNDLE_FUSION = """m_versionNumber = 4
+m_colorWidth = 320
+m_colorHeight = 240
+m_depthShift = 1000
+m_calibrationColorIntrinsic = 208.5 0 159.0 0 0 209.5 119.25 0 0 0 1 0 0 0 0 1
+"""
+
+
+def opencv_yaml(path):
+    """What OpenCV itself writes: numbers such as 2.0850000000000000e+02, and tagged matrices."""
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    file.write("image_width", 320)
+    file.write("image_height", 240)
+    file.write("camera_matrix", np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]]))
+    file.write("distortion_coefficients", np.array([BROWN]))
+    file.release()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "distortion", "fisheye"),
+    [
+        ("orb.yaml", ORB_BROWN, BROWN, False),
+        ("orb.yaml", ORB_FISHEYE, FISHEYE, True),
+        ("orb3.yaml", ORB_3, BROWN, False),
+        ("camchain.yaml", KALIBR.format(coefficients=list(BROWN[:4]), model="radtan"), BROWN[:4], False),
+        ("camchain.yaml", KALIBR.format(coefficients=list(FISHEYE), model="equidistant"), FISHEYE, True),
+        ("ros.yaml", ROS_BROWN, BROWN, False),
+        ("rtabmap.yaml", OPENCV_HEAD + ROS_BROWN, BROWN, False),
+        ("fisheye.yaml", ROS.format(model="equidistant", n=4, coefficients=list(FISHEYE)), FISHEYE, True),
+        ("opencv.yaml", opencv_yaml, BROWN, False),
+        ("rs.json", json.dumps(REALSENSE | {"model": "distortion.brown_conrady", "coeffs": BROWN}), BROWN, False),
+        ("rs.json", json.dumps(REALSENSE | {"model": 4, "coeffs": BROWN}), BROWN, False),
+        (
+            "rs.json",
+            json.dumps(REALSENSE | {"model": "distortion.inverse_brown_conrady", "coeffs": [0] * 5}),
+            (),
+            False,
+        ),
+        ("two.json", json.dumps({"depth": REALSENSE | {"fx": 145.6}, "color": REALSENSE}), (), False),
+        ("open3d.json", json.dumps(OPEN3D), (), False),
+        (
+            "K.json",
+            json.dumps({"K": [[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]], "dist_coeffs": BROWN}),
+            BROWN,
+            False,
+        ),
+        ("lines.txt", "fx: 2.085e+02\nfy = 209.5\ncx 159.0, cy: 1.1925e2\n", (), False),
+        (
+            "sections.txt",
+            "[rgb]\nfx 208.5\nfy 209.5\ncx 159\ncy 119.25\n[depth]\nfx 145.6\nfy 145.6\ncx 80\ncy 60\n",
+            (),
+            False,
+        ),
+        ("info.txt", BUNDLE_FUSION, (), False),
+        ("numbers.txt", "208.5 209.5 159.0 119.25 0.26 -0.95 -0.005 0.0026 1.16", BROWN, False),
+        ("1_33.386.pincam", "320 240 208.5 209.5 159.0 119.25", (), False),
+    ],
+)
+def test_what_other_programs_write(tmp_path, name, text, distortion, fisheye):
+    path = tmp_path / name
+    if callable(text):
+        text(path)
+    else:
+        path.write_text(text)
+    model = read_intrinsics(str(path), SIZE)
+    camera = model.camera
+    assert (camera.width, camera.height) == SIZE
+    assert (camera.fx, camera.fy, camera.cx - 0.5, camera.cy - 0.5) == pytest.approx(K)
+    assert model.distortion == pytest.approx(distortion)
+    assert model.fisheye == fisheye
+
+
+def test_a_size_in_the_file_counts(tmp_path):
+    """ORB-SLAM's file of 320x240 beside images of 160x120: the focal length is half."""
+    (tmp_path / "orb.yaml").write_text(ORB_BROWN)
+    half = read_intrinsics(str(tmp_path / "orb.yaml"), (160, 120)).fitted(160, 120, "the image")
+    assert (half.camera.fx, half.camera.cx) == pytest.approx((208.5 / 2, 159.5 / 2))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "why"),
+    [
+        ("two.yaml", "cam0: {fx: 1, fy: 1, cx: 1, cy: 1}\ncam1: {fx: 2, fy: 2, cx: 2, cy: 2}", "2 cameras, cam0, cam1"),
+        ("rs.json", json.dumps(REALSENSE | {"model": 2, "coeffs": BROWN}), "inverse_brown_conrady"),
+        ("omni.yaml", KALIBR.format(coefficients=list(FISHEYE), model="fov"), "the lens 'fov' with other coefficients"),
+        ("lens.txt", "fx 208\nfy 208\ncx 159\ncy 119\nk9 0.5\n", "k9 = 0.5 changes the camera"),
+        ("skew.json", json.dumps({"fx": 1, "fy": 1, "cx": 1, "cy": 1, "skew": 0.1}), "skew = 0.1 changes the camera"),
+        ("what.yaml", "focal: 525\nsensor: [1, 2]\n", "holds no camera in a way that is known, but 'focal, sensor'"),
+        ("what.yaml", "- 1\n- 2\n", "holds no camera in a way that is known"),
+        ("five.yaml", ROS.format(model="equidistant", n=5, coefficients=list(BROWN)), "must have the coefficients k1"),
+    ],
+)
+def test_what_would_change_the_camera_is_refused_by_name(tmp_path, name, text, why):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(SequenceError, match=why) as error:
+        read_intrinsics(str(path), SIZE)
+    assert str(path) in str(error.value)
+    assert "damaged" not in str(error.value)
+
+
+def test_yaml_runs_no_code(tmp_path):
+    (tmp_path / "camera.yaml").write_text("fx: !!python/object/apply:os.system ['touch here']\nfy: 1\ncx: 1\ncy: 1\n")
+    with pytest.raises(SequenceError):
+        read_intrinsics(str(tmp_path / "camera.yaml"), SIZE)
