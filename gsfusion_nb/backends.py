@@ -56,6 +56,11 @@ _PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
 """Kind of device -> backends that take its tensors, the fastest first. On any other device the reference runs."""
 
 
+def backend_names() -> tuple[str, ...]:
+    """What a command can be asked to run on; a Python session that has imported the course also has ``mine``."""
+    return ("auto", *BACKENDS)
+
+
 def from_environment() -> str:
     """What the variable GSFUSION_BACKEND asks for, else "auto"."""
     return os.environ.get("GSFUSION_BACKEND", "auto")
@@ -193,7 +198,7 @@ def use_backend(backend: str) -> Iterator[None]:
     Raises:
         BackendUnavailable: "mine" where the course is not imported, for instance on the command line.
     """
-    check_name("backend", backend, ("auto", *BACKENDS, MINE))
+    check_name("backend", backend, (*backend_names(), MINE))
     if backend == MINE:
         _check_course()
     token = _choice.set(backend)

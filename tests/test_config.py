@@ -108,6 +108,8 @@ def test_unknown_names_are_refused_with_the_known_ones():
         ({"optim__lr_xyz": float("nan")}, r"optim.lr_xyz must be finite, got nan"),
         ({"data__depth_min_m": 5.0, "data__depth_max_m": 1.0}, r"depth_max_m must be above depth_min_m 5.0"),
         ({"sh_degree": 5}, "sh_degree must be"),
+        ({"optim__beta1": 0.99, "optim__beta2": 0.9}, r"beta2 must be above beta1 squared, 0.9801, got 0.9"),
+        ({"optim__beta1": 1.0}, r"optim.beta1 must be between 0 and 0.999"),
     ],
 )
 def test_bad_values_are_sentences(override, message):

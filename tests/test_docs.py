@@ -2,6 +2,7 @@
 
 import ast
 import contextlib
+import dataclasses
 import io
 import json
 import re
@@ -12,7 +13,9 @@ import pytest
 import tyro
 
 from gsfusion_nb import cli
-from gsfusion_nb.config import gsfusion, to_dict
+from gsfusion_nb.config import gsfusion, replace, to_dict
+from gsfusion_nb.config.values import leaves, parse_value
+from gsfusion_nb.mapping import SYSTEMS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/teaching").glob("*.md"),
@@ -66,11 +69,17 @@ class Parsed(BaseException):
 
 @pytest.fixture
 def dry(monkeypatch):
-    """Commands end where their arguments have been parsed."""
+    """Commands end where their arguments have been parsed; each name must be one that its registry has."""
     parse = tyro.cli
 
     def parse_only(*args, **kwargs):
-        parse(*args, **kwargs)
+        options = parse(*args, **kwargs)
+        for f in dataclasses.fields(options):
+            value = getattr(options, f.name)
+            for each in value if isinstance(value, tuple) else (value,):
+                known = [name.partition(" ")[0] for name in f.metadata["names"]()] if "names" in f.metadata else [each]
+                if f.name != "words" and each and each not in known and not each.isupper():
+                    raise ValueError(f"{f.name} {each} is none of {known}")
         raise Parsed
 
     monkeypatch.setattr(tyro, "cli", parse_only)
@@ -142,6 +151,60 @@ def test_options_that_are_named_exist(page, known_options):
         if span.startswith("--"):
             for option in re.findall(r"--[\w][\w.\-]*", span):
                 assert option in known_options, f"{page.name} names the option {option}, which no command has"
+
+
+CALLS = [
+    *[["map", "room", "--system", system] for system in SYSTEMS], ["live", "folder", "scan"], ["check", "DATA"],
+    ["convert", "SOURCE", "OUT"], ["excerpt", "DATA", "OUT"], ["sweep", "room"], ["study", "systems"],
+    ["benchmark", "tum", "DIR"], ["lab", "TABLE"], ["export", "RUN", "OUT"], ["course", "DIR"], ["eval", "RUN"],
+    ["bench"], ["demo"], ["grade", "DIR"],
+]  # fmt: skip
+"""One call of each command to which an option of a sentence may belong."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_values_of_options_are_understood(page, dry, capsys):
+    for span in code(page):
+        words = shlex.split(span) if span.startswith("--") and "..." not in span else []
+        if len(words) < 2 or words[1].startswith("--") or words[0] in OTHER_PROGRAMS:
+            continue
+        refused = []
+        for call in CALLS:
+            try:
+                status = cli.main([*call, *words])
+            except Parsed:
+                break
+            except SystemExit:
+                status = 2
+            refused.append((call[0], status))
+        else:
+            raise AssertionError(f"{page.name}: no command takes {span}: {refused}")
+    capsys.readouterr()
+
+
+SETTINGS = {name: value for mapper in SYSTEMS.values() for name, value in leaves(to_dict(mapper.config_type())).items()}
+GROUPS = {name.partition(".")[0] for name in SETTINGS if "." in name}
+OTHER_NAMES = ("views.json", "tsdf.npz", "window.lr_sh_rest")
+"""Files of a run, and a setting of an earlier version."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_settings_and_their_values_exist(page):
+    pattern = rf"(?<![\w/.\-])((?:{'|'.join(sorted(GROUPS))})\.[a-z]\w*(?:\.\w+)*)(?![\w\-])(?:\s*=\s*(\S+))?"
+    for name, value in re.findall(pattern, "\n".join(code(page))):
+        if name in OTHER_NAMES:
+            continue
+        assert name in SETTINGS or any(other.startswith(f"{name}.") for other in SETTINGS), f"{page.name}: {name}"
+        parsed = [parse_value(text.strip("\"'`{},")) for text in value.split(",") if value]
+        for one in parsed if not str(value).isupper() else []:
+            problems = []
+            for mapper in SYSTEMS.values():
+                with contextlib.suppress(ValueError, AttributeError, TypeError):
+                    replace(mapper.config_type(), **{name.replace(".", "__"): one})
+                    break
+                problems.append(mapper.title)
+            else:
+                raise AssertionError(f"{page.name}: {name} = {one} is refused")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

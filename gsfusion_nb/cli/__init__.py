@@ -10,12 +10,12 @@ from typing import Annotated
 
 import tyro
 
-from ..backends import BackendUnavailable, from_environment, use_backend
+from ..backends import BackendUnavailable, backend_names, from_environment, use_backend
 from ..config import DataConfig, gps_slam, gsfusion
-from ..config.values import parse_options
+from ..config.values import named, parse_options
 from ..files import is_foreseen, unforeseen
 from .result import print_metrics, print_result
-from .settings import recording_to_open
+from .settings import layout_names, recording_to_open
 
 _USAGE = Path(__file__).with_name("static").joinpath("usage.txt").read_text(encoding="utf-8")
 
@@ -33,9 +33,8 @@ class CheckOptions:
 
     path: Annotated[str, tyro.conf.Positional]
     """Folder of a sequence, or "room" for the built-in scene."""
-    format: str = "auto"
-    """Layout of the data: auto (recognised by its files) or the name of a file in gsfusion_nb/data/readers, such as tum
-    or replica."""
+    format: str = named("auto", layout_names)
+    """Layout of the data."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
@@ -54,8 +53,8 @@ class DemoOptions:
     """New or empty folder for the results, with a folder of each run; runs/room-<time> by default."""
     frames: int = 120
     """Number of frames, spread evenly over one walk through the room. More: a better map, and more time."""
-    backend: str = field(default_factory=from_environment)
-    """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
+    backend: str = named(from_environment, backend_names)
+    """What the operations run on; the environment variable GSFUSION_BACKEND changes the default."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +71,8 @@ class EvalOptions:
     """Also compute LPIPS (needs the extra "lpips" and AlexNet's weights)."""
     device: str = ""
     """Where to render: cpu or cuda. Default: as in the run."""
-    backend: str = field(default_factory=from_environment)
-    """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
+    backend: str = named(from_environment, backend_names)
+    """What the operations run on; the environment variable GSFUSION_BACKEND changes the default."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,13 +2,13 @@
 
 import dataclasses
 import sys
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from ..config.values import parse_options, parse_value
+from ..config.values import named, parse_options, parse_value
 from ..data.sequence import SequenceError
 from ..files import read_object
 from ..recordings.convert.formats import FORMATS, known_formats, readable_layout
@@ -94,9 +94,10 @@ class ConvertCommand:
     """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
     are written one by one, and OUT appears when all is done."""
 
-    words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")]
-    """FORMAT: colmap, icl_nuim, images, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if
-    omitted. SOURCE: the file or folder of the recording. OUT: a new folder."""
+    words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")] = named(
+        MISSING, lambda: sorted(FORMATS)
+    )
+    """SOURCE: the file or folder of the recording. OUT: a new folder. FORMAT: recognised automatically if omitted."""
     options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
 
 

@@ -33,7 +33,7 @@ class CourseOptions:
     """Without outputs, to hand out; a notebook that is there already is replaced."""
 
     reset: bool = False
-    """Start the course again. The file with your progress is renamed, not deleted."""
+    """Start the course again, also together with a folder. The file with your progress is renamed, not deleted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,14 +71,22 @@ def run(arguments: list[str]) -> int:
     from ..course.progress import reset
 
     options = parse_options(CourseOptions, prog="gsfusion-nb course", arguments=arguments)
-    if options.folder is not None:
-        return _copy(options.folder, options)
+    if options.folder is None:
+        unused = [f"--{name.replace('_', '-')}" for name in ("path", "open", "for_class") if _is_set(options, name)]
+        if unused:
+            raise ValueError(f"{' and '.join(unused)} needs the folder of the notebooks: gsfusion-nb course FOLDER")
     if options.reset:
         kept = reset()
         print(f"The course starts again. Your progress so far is kept in {kept}" if kept else "There was no progress.")
-    else:
+    if options.folder is not None:
+        return _copy(options.folder, options)
+    if not options.reset:
         print(read_course().as_table())
     return 0
+
+
+def _is_set(options: CourseOptions, name: str) -> bool:
+    return getattr(options, name) != getattr(CourseOptions(), name)
 
 
 def _copy(folder: Path, options: CourseOptions) -> int:

@@ -8,10 +8,11 @@ import tyro
 
 from ..backends import use_backend
 from ..config import TsdfConfig, replace
+from ..config.values import named
 from ..seeding.rule_code import is_rule_file
 from ..work import MAP_MEMORY
 from .result import print_result
-from .settings import SettingsOptions, parse, recording_to_open
+from .settings import SettingsOptions, layout_names, parse, recording_to_open
 
 if TYPE_CHECKING:
     from ..config import SystemConfig
@@ -34,9 +35,8 @@ class MapOptions(SettingsOptions):
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""
     """New or empty folder for the results; runs/<name>-<time> by default."""
-    format: str = "auto"
-    """Layout of the data: auto (recognised by its files) or the name of a file in gsfusion_nb/data/readers, such as tum
-    or replica."""
+    format: str = named("auto", layout_names)
+    """Layout of the data."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), split=train
     (ScanNet++), poses=false (folder, TUM), n_frames=480 or rooms=64 (room)."""

@@ -11,10 +11,10 @@ from typing import Annotated, Any, TypeVar
 
 import tyro
 
-from ..backends import from_environment
+from ..backends import backend_names, from_environment
 from ..checks import shown
-from ..config import SystemConfig, from_run, replace, to_dict
-from ..config.values import EVERYDAY, leaves, named_values, parse_options, with_own_settings
+from ..config import SystemConfig, from_run, presets, replace, to_dict
+from ..config.values import EVERYDAY, leaves, named, named_values, parse_options, with_own_settings
 from ..files import read_object, reason_of
 
 O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
@@ -22,26 +22,52 @@ ROOM = "room"
 """Name of the built-in scene, and of the preset for it."""
 
 
+def system_names() -> tuple[str, ...]:
+    """Names of the mapping systems."""
+    from ..mapping import SYSTEMS
+
+    return tuple(SYSTEMS)
+
+
+def layout_names() -> list[str]:
+    """Names of the layouts of recordings: those of the files in ``gsfusion_nb/data/readers``."""
+    from ..data.open import known_layouts
+
+    return ["auto (recognised by its files)", *known_layouts()]
+
+
+def fidelity_names() -> list[str]:
+    """Names of all fidelities, with the system where it is the only one that has it."""
+    from ..mapping import SYSTEMS
+
+    having = {
+        name: [system for system, mapper in SYSTEMS.items() if name in mapper.fidelities]
+        for mapper in SYSTEMS.values()
+        for name in mapper.fidelities
+    }
+    return [f"{name} (only {systems[0]})" if len(systems) == 1 else name for name, systems in having.items()]
+
+
 @dataclass(frozen=True, kw_only=True)
 class SettingsOptions:
     """Which system maps, with which settings, and where."""
 
-    system: str = "gsfusion"
-    """Name of the mapping system, such as gsfusion or rtg_slam."""
-    preset: str = ""
-    """Settings published for a data set, such as replica, tum or scannetpp; single options override them. Default: room
-    for the built-in scene, otherwise replica."""
-    fidelity: str = ""
-    """What to follow where paper and released code differ: paper, code, or measured (in each case the choice that gave
-    better results). Default: measured."""
+    system: str = named("gsfusion", system_names)
+    """Name of the mapping system."""
+    preset: str = named("", presets)
+    """Settings for a data set; single options override them. Where none is given: room for the built-in scene,
+    otherwise replica."""
+    fidelity: str = named("", fidelity_names)
+    """What to follow where paper, released code and our measurements differ. Where none is given: measured, in each
+    case the choice that gave better results."""
     from_config: str = ""
     """The config.json of an earlier run, whose settings are used instead of system, preset and fidelity."""
     rule_options: tuple[str, ...] = ()
     """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
     device: str = "cpu"
     """Device of the maps: cpu or cuda."""
-    backend: str = field(default_factory=from_environment)
-    """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
+    backend: str = named(from_environment, backend_names)
+    """What the operations run on; the environment variable GSFUSION_BACKEND changes the default."""
     config: SystemConfig = field(default_factory=SystemConfig)
 
     def settings(self) -> Any:

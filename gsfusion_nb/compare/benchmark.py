@@ -3,7 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +11,7 @@ import tyro
 
 from ..backends import use_backend
 from ..checks import check_name
-from ..config.values import named_values, read_packaged
+from ..config.values import named, named_values, read_packaged
 from ..data.open import known_layouts
 from ..data.recorded.files import missing
 from ..files import SequenceError, write_file
@@ -65,11 +65,11 @@ class BenchmarkOptions(RecordingOptions):
     Writes benchmark.md and the files of gsfusion-nb lab. After Ctrl-C the same command continues. Whatever --set
     changes in the protocol is named in the table."""
 
-    name: Annotated[str, tyro.conf.Positional]
-    """replica, tum, scannetpp or 7scenes."""
+    name: Annotated[str, tyro.conf.Positional] = named(MISSING, lambda: DATA_SETS)
+    """Which data set."""
     folder: Annotated[str, tyro.conf.Positional]
     """The folder with the scenes, or one scene."""
-    systems: tuple[str, ...] = tuple(SYSTEMS)
+    systems: tuple[str, ...] = named(tuple(SYSTEMS), lambda: SYSTEMS)
     """Names of the mapping systems."""
 
 

@@ -3,13 +3,14 @@
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from ..backends import from_environment, use_backend
+from ..backends import backend_names, from_environment, use_backend
+from ..config.values import named
 from ..files import write_file
 from ..runs.run_folder import RunFolder
 from .entries import EXAMPLE, read_table
@@ -40,8 +41,8 @@ class WhereOptions:
     cache: bool = True
     """Use results of earlier commands from the cache, whatever their --out, and keep new ones there. With --no-cache
     they are kept in the folder of --out."""
-    backend: str = field(default_factory=from_environment)
-    """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
+    backend: str = named(from_environment, backend_names)
+    """What the operations run on; the environment variable GSFUSION_BACKEND changes the default."""
 
 
 @dataclass(frozen=True, kw_only=True)

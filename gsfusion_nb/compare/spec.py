@@ -134,8 +134,7 @@ class RunSpec:
     device: str = "cpu"
     """Device of the maps."""
     fidelity: str = ""
-    """What to follow where paper and released code differ: measured, paper or code; the default of the system if
-    empty."""
+    """What to follow where paper and released code differ, one of the system's ``fidelities``; its default if empty."""
     online: bool = False
     """Score the views also before the optimisation after the scan, and give frames per second."""
 

@@ -6,7 +6,7 @@ The named comparisons are those of the papers, beside their numbers, and the que
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +14,9 @@ import tyro
 
 from ..backends import use_backend
 from ..checks import check_name, check_whole, shown
-from ..config.values import named_values, parse_value, read_packaged
-from ..mapping import get_system
+from ..config import presets
+from ..config.values import named, named_values, parse_value, read_packaged
+from ..mapping import SYSTEMS, get_system
 from ..seeding import check_options
 from ..seeding.rule_code import is_rule_file, read_rule_file
 from . import roofline
@@ -66,6 +67,15 @@ def _read_studies() -> Iterator[tuple[str, Study]]:
 
 STUDIES = dict(_read_studies())
 """Name on the command line -> study. "roofline" has a module of its own."""
+
+
+def study_names() -> list[str]:
+    """Names of all studies, each with its question."""
+    return [f"{name} ({study.question})" for name, study in STUDIES.items()] + [
+        "roofline (kernels and the limits of this machine)"
+    ]
+
+
 RULE, OPTION = "seeding.rule", "rule."
 """The setting whose values are rules, and the beginning of the names of a rule's options."""
 
@@ -78,8 +88,8 @@ class RecordingOptions(WhereOptions):
     """Settings of all runs: --set data.width=320 data.height=240 seeding.rule=uniform rule.fraction=0.1."""
     seeds: int = 1
     """Number of seeds: 0, 1, and so on."""
-    preset: str = ""
-    """Settings published for a data set. Default: room for the built-in scene, otherwise replica."""
+    preset: str = named("", presets)
+    """Settings for a data set. Where none is given: room for the built-in scene, otherwise replica."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: n_frames=60 (room)."""
 
@@ -95,7 +105,7 @@ class SweepOptions(RecordingOptions):
     grid: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-g"]), tyro.conf.UseAppendAction] = ()
     """Values of a setting: --grid tsdf.voxel-size-m=0.01,0.02; of an option of the rule: --grid rule.fraction=0.1,0.2;
     rules: --grid seeding.rule=gsfusion,my_rules.py:mine. Repeat it for several settings."""
-    system: str = "gsfusion"
+    system: str = named("gsfusion", lambda: SYSTEMS)
     """Name of the mapping system."""
 
 
@@ -105,14 +115,9 @@ class StudyOptions(RecordingOptions):
 
     A variant that was run before, by any command, is taken from the cache."""
 
-    name: Annotated[str, tyro.conf.Positional]
-    """What to compare: systems (all three), transparent (with and without transparent Gaussians), states (optimising
-    unstable or all Gaussians), fidelity (as measured, paper or released code), gsfusion-settings and rtg-slam-settings
-    (one changed setting at a time), depth (disc or blended depth), tracking (variants of the tracker), rate (GPS-SLAM's
-    frames per second against its PSNR), colours (weights of the TSDF's colours, without Gaussians), roofline (kernels
-    and the limits of this machine), or an ablation of GSFusion's paper, beside its numbers: table-iv (voxel size),
-    table-v (quadtree threshold), table-vi (global optimisation), table-vii (random keyframes), table-viii (keyframe
-    threshold). These run with the settings of the paper (fidelity "paper"), of which one is changed as it does."""
+    name: Annotated[str, tyro.conf.Positional] = named(MISSING, study_names)
+    """What to compare. The ablations of GSFusion's paper run with its settings (fidelity "paper"), of which one is
+    changed as it does."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     only: str = ""

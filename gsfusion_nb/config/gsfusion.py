@@ -1,7 +1,7 @@
 """Settings of GSFusion; its presets, named after papers and data sets, are in ``presets.toml``."""
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from .parts import SystemConfig, TsdfConfig
 from .values import Presets, Settings, within
@@ -26,12 +26,12 @@ class OptimConfig(Settings, group="optim"):
     """Learning rate of the rotations (quaternion components)."""
     lr_opacity_logit: float = within(0.1, 0, 10)
     """Learning rate of the opacities, before the sigmoid."""
-    beta1: ClassVar[float] = 0.9
+    beta1: float = within(0.9, 0, 0.999)
     """Adam's memory of the gradient, 0 to 1. Larger: smoother, slower to change direction. Usual: 0.8 to 0.95."""
-    beta2: ClassVar[float] = 0.999
-    """Adam's memory of the squared gradient, 0 to 1. Larger: the step size follows changes more slowly. Usual: 0.99 to
-    0.999."""
-    eps: ClassVar[float] = 1e-15
+    beta2: float = within(0.999, 0, 0.999999)
+    """Adam's memory of the squared gradient, above the square of beta1 and below 1. Larger: the step size follows
+    changes more slowly. Usual: 0.99 to 0.999."""
+    eps: float = within(1e-15, 1e-30, 1)
     """Added to Adam's denominator against division by zero. Larger: smaller steps where gradients are small."""
     adam_steps: Literal["none", "shared", "per_row"] = "none"
     """Bias correction of Adam: decides how fast Gaussians move. "none": no correction, so the first steps of a new
@@ -59,11 +59,11 @@ class OptimConfig(Settings, group="optim"):
     """In the passes after the scan, each keyframe also moves towards the pose at which the map fits its picture; the
     frames between follow. On: sharper pictures where the poses of the data are some tenths of a degree off; the given
     poses then fit the map less well. The TSDF keeps the given poses."""
-    pose_sigma_m: ClassVar[float] = 0.02
+    pose_sigma_m: float = within(0.02, 1e-6, 10)
     """Standard deviation of the given positions, metres: how far refine_poses may move them. Larger: the picture counts
     more, the given pose less. Usual: 0.005 to 0.05."""
-    pose_sigma_deg: ClassVar[float] = 1.0
-    """Standard deviation of the given rotations about each axis, degrees. Usual: 0.2 to 2."""
+    pose_sigma_deg: float = within(1.0, 1e-6, 180)
+    """Likewise of the given rotations about each axis, degrees. Usual: 0.2 to 2."""
     fit_exposure: bool = False
     """In the passes after the scan, compare each keyframe with the map's picture times three factors, one a colour,
     that are fitted to it, with a mean of 1 over all keyframes. On: the map has the mean brightness and white balance of
@@ -81,6 +81,11 @@ class OptimConfig(Settings, group="optim"):
     opacity_weight: float = within(0.0, 0, 1e6)
     """Weight of the mean opacity of the Gaussians, in all steps. Larger: Gaussians that the pictures do not need
     disappear. 0 as published; 3DGS-MCMC has 0.01."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.beta1**2 >= self.beta2:  # then the steps of a row without gradient never end
+            raise ValueError(f"optim.beta2 must be above beta1 squared, {self.beta1**2:.4g}, got {self.beta2}")
 
 
 @dataclass(frozen=True, kw_only=True)

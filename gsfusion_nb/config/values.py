@@ -9,7 +9,7 @@ import math
 import textwrap
 import tomllib
 import typing
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import field, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
@@ -109,6 +109,17 @@ def setting(default: Any, **metadata: Any) -> Any:
         metadata: ``before``: what a run did before the setting existed, where that is not the default (``from_run``).
     """
     return field(default=default, metadata=metadata)
+
+
+def named(default: Any, names: Callable[[], Iterable[str]]) -> Any:
+    """A field of options that is one of the names of a registry, or several; the help lists them.
+
+    Args:
+        default: Its default, or a function that returns it.
+        names: Returns what the registry has; it may add a few words in brackets to a name.
+    """
+    given: dict[str, Any] = {"default_factory": default} if callable(default) else {"default": default}
+    return field(**given, metadata={"names": names})
 
 
 class Settings:
@@ -356,7 +367,7 @@ def _explain_own_fields(cls: type) -> None:
     import tyro
 
     texts = _explanations(cls)
-    fields = {f.name for f in dataclasses.fields(cls)}
+    fields = {f.name: f for f in dataclasses.fields(cls)}
     for name, kind in [(n, k) for n, k in inspect.get_annotations(cls).items() if n in fields]:
         plain, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
         if is_dataclass(plain):
@@ -365,14 +376,16 @@ def _explain_own_fields(cls: type) -> None:
             metavar = next((mark.metavar for mark in marks if hasattr(mark, "metavar")), None)
             if tyro.conf.Positional in marks and not metavar:
                 metavar = f"[{name.upper()}]" if hasattr(cls, name) else name.upper()
-            hint = functools.partial(_default, text=texts[name])
-            explained = tyro.conf.arg(help=texts[name], metavar=metavar, help_behavior_hint=hint)
+            text = texts[name]
+            if "names" in fields[name].metadata:
+                text = f"{text} Known: {', '.join(fields[name].metadata['names']())}."
+            explained = tyro.conf.arg(help=text, metavar=metavar, help_behavior_hint=_default)
             cls.__annotations__[name] = Annotated[(plain, *marks, explained)]
 
 
-def _default(value: str, text: str) -> str:
-    """The default value after an explanation that does not give it."""
-    return "" if value in ("", "''", "{}") or "default" in text.lower() else f"(default: {value})"
+def _default(value: str) -> str:
+    """The default value after an explanation; an empty one says nothing, and the explanation says what it means."""
+    return "" if value in ("", "''", "{}") else f"(default: {value})"
 
 
 def _explanations(cls: type) -> dict[str, str]:

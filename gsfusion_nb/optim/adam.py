@@ -18,8 +18,9 @@ from ..geometry.operands import INTEGERS, check_gaussians, check_operand
 from ..render import Boxes
 from ..types import GaussianParams
 
-_NOTHING_LEFT_AFTER = 200
-"""With zero gradient a row has stopped after so many steps: (0.9 / sqrt(0.999))^200 is 8e-10."""
+_NOTHING_LEFT = 8e-10
+"""With zero gradient a row has stopped when its step is this share of the first: after 200 steps at the usual decays,
+since (0.9 / sqrt(0.999))^200 is 8e-10."""
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
 """Of ``RowAdam``: the values of the released code of RTG-SLAM, which are those of 3D Gaussian splatting."""
@@ -318,9 +319,10 @@ class MissedSteps:
         if start is None:
             self.distance = ratio * (1 - ratio ** missed.double()) / (1 - ratio)
         else:  # rows that were seen together share their sum
-            k = missed.clamp_max(_NOTHING_LEFT_AFTER)
-            pairs, which = torch.unique(start.long() * (_NOTHING_LEFT_AFTER + 1) + k, return_inverse=True)
-            first, last = pairs[:, None] // (_NOTHING_LEFT_AFTER + 1), pairs[:, None] % (_NOTHING_LEFT_AFTER + 1)
+            enough = math.ceil(math.log(_NOTHING_LEFT) / math.log(ratio)) if ratio else 1
+            k = missed.clamp_max(enough)
+            pairs, which = torch.unique(start.long() * (enough + 1) + k, return_inverse=True)
+            first, last = pairs[:, None] // (enough + 1), pairs[:, None] % (enough + 1)
             j = torch.arange(1, int(k.max()) + 1, device=k.device)
             t = (first + j).double()
             terms = (1 - beta2**t).sqrt() / (1 - beta1**t) * ratio**j

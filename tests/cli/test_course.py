@@ -48,6 +48,19 @@ def test_reset_keeps_the_file(course_file, capsys):
     assert "There was no progress" in capsys.readouterr().out
 
 
+def test_reset_is_not_forgotten_where_a_folder_is_given(course_file, tmp_path, capsys):
+    assert main(["course", str(tmp_path / "class"), "--reset", "--path", "short"]) == 0
+    assert "The course starts again" in capsys.readouterr().out
+    assert not course_file.exists()
+    assert list((tmp_path / "class").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("option", [["--open"], ["--for-class"], ["--path", "short"]])
+def test_options_of_the_folder_need_one(course_file, capsys, option):
+    assert main(["course", *option]) == 1
+    assert f"{option[0]} needs the folder of the notebooks" in capsys.readouterr().err
+
+
 def test_a_damaged_file_is_said(course_file, capsys):
     course_file.write_text("[")
     assert main(["course"]) == 1

@@ -264,9 +264,11 @@ def test_the_rows_of_a_window_take_their_part_too(generator):
 
 
 @pytest.mark.parametrize("adam_steps", ["none", "shared", "per_row"])
-@pytest.mark.parametrize("missed", [1, 7, 400])
-def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed):
-    config = OptimConfig(adam_steps=adam_steps)
+@pytest.mark.parametrize(
+    ("missed", "decays"), [(1, {}), (7, {}), (400, {}), (400, {"beta1": 0.98, "beta2": 0.99}), (7, {"beta1": 0.5})]
+)
+def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, decays):
+    config = OptimConfig(adam_steps=adam_steps, **decays)
     whole, part = GaussianModel(2), GaussianModel(2)
     for n in (5, 7):  # of two ages
         more = rows(n, generator)

@@ -20,6 +20,7 @@ from ... import backends, seeding  # noqa: F401  (importing the rooms declares t
 from ...backends import use_backend
 from ...checks import check_name, check_whole
 from ...config import DataConfig, TsdfConfig, gsfusion, replace
+from ...config.values import named
 from ...data import OpenedSequence, open_sequence
 from ...data.room import RoomSequence
 from ...evaluation.image import psnr
@@ -46,9 +47,9 @@ _WALK = 200
 class BenchOptions:
     """Measure the speed of the toolkit on this machine and print a table."""
 
-    what: Annotated[str, tyro.conf.Positional] = "all"
-    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), all of these, or growth (the
-    three systems in a building of 64 rooms, a quarter of an hour)."""
+    what: Annotated[str, tyro.conf.Positional] = named("all", lambda: ("all (but growth)", *SECTIONS))
+    """What to time: raster is the rasteriser, tsdf TSDF integration, map the whole mapper, growth the three systems in
+    a building of 64 rooms, a quarter of an hour."""
     data: str = "room"
     """Folder of the sequence used by tsdf and map, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
@@ -56,9 +57,9 @@ class BenchOptions:
     room."""
     frames: int = 0
     """Number of frames of the sequence to use. 0: 60, or 8 with --quick."""
-    backend: tuple[str, ...] = ()
-    """Backends of gsfusion-nb to time: reference, numba, cuda. Default: all that run on this machine except reference,
-    which is slow because it is written for reading."""
+    backend: tuple[str, ...] = named((), lambda: TIMED_BACKENDS)
+    """Backends of gsfusion-nb to time. Where none is given: all that run on this machine except reference, which is
+    slow because it is written for reading."""
     threads: int = 1
     """Number of threads for every method."""
     quick: bool = False
