@@ -128,3 +128,9 @@ def test_the_rules_that_a_text_names_are_registered():
     assert len(named.split(", ")) == 5
     for rule in named.split(", "):
         get_rule(rule)
+
+
+def test_every_command_is_in_the_first_help(capsys):
+    assert cli.main(["--help"]) == 0
+    shown = set(re.findall(r"gsfusion-nb (\w+)", capsys.readouterr().out))
+    assert shown == {*cli._MODULES, *cli._COMMANDS, *cli._COMPARING}

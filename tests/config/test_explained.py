@@ -4,12 +4,14 @@ import ast
 import dataclasses
 import inspect
 import itertools
+import re
 import textwrap
+import typing
 from typing import Any
 
 import pytest
 
-from gsfusion_nb.config import GSFusionConfig, RtgSlamConfig
+from gsfusion_nb.mapping import SYSTEMS
 
 UNITS = {"_m": "metre", "_deg": "degree", "_px": "pixel"}
 
@@ -32,7 +34,9 @@ def explanations(cls: type) -> dict[str, str]:
     return texts
 
 
-CLASSES = sorted(config_classes(GSFusionConfig) | config_classes(RtgSlamConfig), key=lambda cls: cls.__name__)
+CLASSES = sorted(
+    {cls for mapper in SYSTEMS.values() for cls in config_classes(mapper.config_type)}, key=lambda cls: cls.__name__
+)
 
 
 @pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
@@ -44,3 +48,17 @@ def test_every_setting_is_explained_with_its_unit(cls):
         assert len(texts.get(f.name, "")) > 20, f"{cls.__name__}.{f.name} has no explanation"
         for ending, unit in UNITS.items():
             assert not f.name.endswith(ending) or unit in texts[f.name], f"{cls.__name__}.{f.name}: no unit"
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_words_that_a_text_quotes_are_allowed(cls):
+    texts, kinds = explanations(cls), typing.get_type_hints(cls)
+    for f in dataclasses.fields(cls):
+        if typing.get_origin(kinds[f.name]) is typing.Literal:
+            quoted = set(re.findall(r'"(\w+)"', texts[f.name]))
+            assert quoted <= set(typing.get_args(kinds[f.name])), f"{cls.__name__}.{f.name}"
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_what_is_explained_as_a_setting_can_be_set(cls):
+    assert set(explanations(cls)) <= {f.name for f in dataclasses.fields(cls)}
