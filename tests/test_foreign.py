@@ -52,7 +52,7 @@ ALLOWED = {
     "data/recorded/images.py": "decodes after the header was looked at",
     "data/room/scene.py": "pictures of its own, from bytes of a limited size",
     "recordings/convert/recording.py": "an array that is mapped, and so is not larger than its file",
-    "recordings/convert/formats/ros_bag.py": "a file that gives no more bytes than it has",
+    "recordings/convert/formats/ros_files.py": "a file that gives no more bytes than it has",
     "recordings/fetch.py": "downloads, and unpacking into a new folder within a limit",
     "course/grading/sandbox.py": "tasks and verdicts of its own",
     "viz/steppers/recording.py": "source files of this package",

@@ -1,7 +1,6 @@
 """Cameras with lens distortion: removing it, and registering depth to the colour of another camera."""
 
 import itertools
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -23,6 +22,8 @@ SAME_PX = 0.05
 LARGEST_FOOTPRINT_PX = 64
 """A pixel of depth that would cover more pixels of the other camera across, because it is almost in that camera's image
 plane, is a point."""
+SAME_SURFACE = 0.05
+"""Depths that differ by less than this share of the nearer one may be of one surface within a pixel."""
 SEAM_PX = 0.25
 """Slanted surfaces come apart between two pixels of depth, by less than this in the other image. A seam is filled from
 both sides."""
@@ -165,9 +166,10 @@ def register_depth(
     """Depth as a camera of another resolution sees it, without the holes that single points would leave.
 
     Every pixel of depth is a small plane parallel to its image. It fills the pixels of ``target`` whose centres its
-    outline covers there, and the one that its own centre falls into. Where several meet, the nearest is kept. Pixels
-    that are left in a seam take the nearest of the outlines beside it. So a lower resolution of depth gives blocks, and
-    no depth is interpolated; librealsense fills in the same way when it aligns depth to colour.
+    outline covers there, and the one that its own centre falls into. Where several meet, the nearest surface is kept,
+    and of it the pixel whose centre is nearest. Pixels that are left in a seam take one of the outlines beside it. So
+    a lower resolution of depth gives blocks, and no depth is interpolated. librealsense fills outlines, too, when it
+    aligns depth to colour.
 
     Args:
         depth_m: z-depth, metres, 0 = missing. [H, W]
@@ -193,21 +195,43 @@ def register_depth(
         down=project(target, P + half_down) - project(target, P - half_down),
         is_point=P[:, 2] <= half_right[:, 2].abs() + half_down[:, 2].abs(),
     )
-    filled = _nearest_of(outline.covered(TIE), P[:, 2], target)
-    seams = _nearest_of(outline.covered(SEAM_PX), P[:, 2], target)
-    return torch.where(filled > 0, filled, seams)
+    pairs = outline.covered(target)
+    z = P[pairs.rows, 2]
+    own = (~pairs.is_seam).nonzero()[:, 0]
+    filled = _front(pairs.place[own], z[own], pairs.away_px[own], target)
+    seam = pairs.is_seam.nonzero()[:, 0]
+    seam = seam[filled.flatten()[pairs.place[seam]] == 0]
+    return torch.maximum(filled, _front(pairs.place[seam], z[seam], pairs.away_px[seam], target))
 
 
-def _nearest_of(
-    covered: Iterable[tuple[Int[Tensor, " K"], Int[Tensor, "K 2"]]], z: Float[Tensor, " N"], target: Camera
+def _front(
+    place: Int[Tensor, " K"], z: Float[Tensor, " K"], away_px: Float[Tensor, " K"], camera: Camera
 ) -> Float[Tensor, "h w"]:
-    """Smallest ``z`` of the rows that cover each pixel of ``target``; 0 where none does."""
-    out = z.new_full((target.height * target.width,), torch.inf)
-    for rows, pixels in covered:
-        inside = ((pixels >= 0) & (pixels < pixels.new_tensor([target.width, target.height]))).all(dim=1)
-        u, v = pixels[inside].unbind(dim=1)
-        out.scatter_reduce_(0, v * target.width + u, z[rows[inside]], reduce="amin")
-    return out.where(out.isfinite(), torch.zeros_like(out)).reshape(target.height, target.width)
+    """Of the depths ``z`` at each pixel, numbered row by row, one of the nearest surface; 0 where there is none.
+
+    Of several on that surface the one is taken whose centre is nearest to that of the pixel: the nearest one of all
+    would draw slanted surfaces towards the camera.
+    """
+    empty = z.new_full((camera.height * camera.width,), torch.inf)
+    nearest = empty.scatter_reduce(0, place, z, reduce="amin")
+    away_px = away_px.where(z <= (1 + SAME_SURFACE) * nearest[place], torch.inf)
+    central = empty.scatter_reduce(0, place, away_px, reduce="amin")
+    out = empty.scatter_reduce(0, place, z.where(away_px == central[place], torch.inf), reduce="amin")
+    return out.where(out.isfinite(), 0).reshape(camera.height, camera.width)
+
+
+@dataclass(frozen=True, eq=False)
+class _Covered:
+    """Pairs of an outline and a pixel."""
+
+    rows: Int[Tensor, " K"]
+    """Of the outlines."""
+    place: Int[Tensor, " K"]
+    """The pixels, numbered row by row."""
+    away_px: Float[Tensor, " K"]
+    """Distance of their centres."""
+    is_seam: Bool[Tensor, " K"]
+    """The pixel is beside the outline."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,24 +246,30 @@ class _Outline:
     is_point: Bool[Tensor, " N"]
     """They are so near that the sides are unknown."""
 
-    def covered(self, margin_px: float) -> Iterator[tuple[Int[Tensor, " K"], Int[Tensor, "K 2"]]]:
-        """Rows, and a pixel of the other camera that each of them covers, or misses by less than the margin; each pixel
-        of a row once."""
+    def covered(self, camera: Camera) -> "_Covered":
+        """Every pair of an outline and a pixel of ``camera``, the other one, that it covers or misses by less than a
+        seam."""
         pixel = self.uv.floor()
-        yield torch.arange(len(pixel), device=pixel.device), pixel.long()
-        reach = 0.5 * (self.right.abs() + self.down.abs()) + margin_px
+        reach = 0.5 * (self.right.abs() + self.down.abs()) + SEAM_PX
         known = ~self.is_point & (reach <= LARGEST_FOOTPRINT_PX / 2).all(dim=1)
-        steps = torch.ceil(reach[known] - 0.5).amax(dim=0).long().tolist() if bool(known.any()) else (0, 0)
+        reach = reach * known[:, None]
+        area = 0.5 * _cross(self.right, self.down).abs()
+        lengths = torch.stack([self.down.norm(dim=1), self.right.norm(dim=1)])
+        steps = torch.ceil(reach - 0.5).clamp(min=0).amax(dim=0).long().tolist() if len(pixel) else (0, 0)
+        found = []
         for du, dv in itertools.product(*(range(-n, n + 1) for n in steps)):
-            away = pixel + pixel.new_tensor([du + 0.5, dv + 0.5]) - self.uv
-            rows = (known & (away.abs() <= reach).all(dim=1)).nonzero()[:, 0]
-            if (du, dv) == (0, 0) or not len(rows):
-                continue
-            away, right, down = away[rows], self.right[rows], self.down[rows]
-            area = _cross(right, down).abs()
-            fills = _cross(away, down).abs() <= 0.5 * area + margin_px * down.norm(dim=1)
-            fills &= _cross(right, away).abs() <= 0.5 * area + margin_px * right.norm(dim=1)
-            yield rows[fills], (pixel[rows[fills]] + pixel.new_tensor([du, dv])).long()
+            covered = pixel + pixel.new_tensor([du, dv])
+            away = covered + 0.5 - self.uv
+            beyond = torch.stack([_cross(away, self.down).abs(), _cross(self.right, away).abs()]) - area
+            near = (beyond <= SEAM_PX * lengths).all(dim=0) & (away.abs() <= reach).all(dim=1)
+            if (du, dv) == (0, 0):
+                near = torch.ones_like(near)
+            near &= (covered >= 0).all(dim=1) & (covered[:, 0] < camera.width) & (covered[:, 1] < camera.height)
+            rows = near.nonzero()[:, 0]
+            is_seam = (beyond[:, rows] > TIE * lengths[:, rows]).any(dim=0) & ((du, dv) != (0, 0))
+            u, v = covered[rows].long().unbind(dim=1)
+            found.append((rows, v * camera.width + u, away[rows].norm(dim=1), is_seam))
+        return _Covered(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
 
 def _cross(a: Float[Tensor, "N 2"], b: Float[Tensor, "N 2"]) -> Float[Tensor, " N"]:

@@ -65,14 +65,30 @@ def test_a_lower_resolution_gives_blocks_and_interpolates_nothing():
     assert torch.equal(found, depth_m.repeat_interleave(3, 0).repeat_interleave(3, 1))
 
 
-def test_equal_cameras_give_what_single_points_give():
+def test_equal_cameras_change_nothing_and_a_far_surface_gives_way():
     depth_m = 1.0 + torch.rand(72, 96, generator=torch.Generator().manual_seed(1))
     depth_m[10:20, 30:50] = 0.0
-    for T in (torch.eye(4, dtype=torch.float64), BESIDE):
-        lower = COLOUR.resized(48, 36)
-        points = warp_depth(depth_m, COLOUR, lower, T)
-        assert torch.equal(register_depth(depth_m, COLOUR, lower, T), points)
     assert torch.equal(register_depth(depth_m, COLOUR, COLOUR, torch.eye(4)), depth_m)
+    lower = COLOUR.resized(48, 36)
+    nearest = warp_depth(depth_m, COLOUR, lower, BESIDE)
+    found = register_depth(depth_m, COLOUR, lower, BESIDE)
+    assert torch.equal(found > 0, nearest > 0)
+    assert bool((found <= 1.05 * nearest + 1e-6).all())
+
+
+@pytest.mark.parametrize("share", [4.0, 2.0])
+def test_a_higher_resolution_does_not_draw_a_slope_nearer(share):
+    """The nearest of several points in a pixel is on average too near; the most central one is not."""
+    normal = torch.tensor([0.5, 0.1, 0.8], dtype=torch.float64)
+    truth = plane_depth(COLOUR, normal, 2.0)
+    T_depth_colour = se3.inverse(BESIDE)
+    normal_D = T_depth_colour[:3, :3] @ normal
+    source = wide(share)
+    depth_m = plane_depth(source, normal_D, float(2.0 + normal_D @ T_depth_colour[:3, 3]))
+    off = register_depth(depth_m, source, COLOUR, BESIDE) / truth - 1
+    assert abs(float(off.mean())) < 2e-4
+    nearest = warp_depth(depth_m, source, COLOUR, BESIDE)
+    assert float((nearest / truth - 1)[nearest > 0].mean()) < -1e-3
 
 
 def test_a_sensor_on_its_side_and_what_is_nearest():

@@ -1,18 +1,13 @@
-"""Messages of ROS 1 and 2: images as arrays, and poses from the transform tree (tf, tf_static) or a topic."""
+"""Image messages of ROS 1 and 2 as arrays."""
 
 import struct
-from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
-import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from ....checks import shown
 from ....data.recorded.images import decode_image, decode_rgb
-from ....data.recorded.poses import interpolate_rows, matrices
 from ....data.sequence import BadFrameError, SequenceError
 from ..recording import is_picture_file, metres
 
@@ -39,8 +34,8 @@ def colour_of(message: Any, source: str) -> tuple[np.ndarray, bytes]:
         swapped = {"BayerRG": "BayerBG", "BayerBG": "BayerRG", "BayerGB": "BayerGR", "BayerGR": "BayerGB"}
         code = getattr(cv2, f"COLOR_{swapped[_BAYER[encoding]]}2RGB")
         return cv2.cvtColor(_rows(message, 1, np.uint8, source)[..., 0], code), b""
-    if encoding in _YUV:
-        code = getattr(cv2, f"COLOR_YUV2RGB_{_YUV[encoding]}")
+    if encoding.lower() in _YUV:  # the RealSense SDK writes YUYV
+        code = getattr(cv2, f"COLOR_YUV2RGB_{_YUV[encoding.lower()]}")
         return cv2.cvtColor(_rows(message, 2, np.uint8, source), code), b""
     if encoding not in _CHANNELS:
         known = ", ".join((*_CHANNELS, *_BAYER, *_YUV))
@@ -117,108 +112,3 @@ def _rows(message: Any, channels: int, dtype: type[np.generic], source: str) -> 
         )
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :used])
     return rows.view(kind).astype(dtype, copy=False).reshape(height, width, channels)
-
-
-POSE_TYPES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry")
-
-
-@dataclass
-class _Edge:
-    """Transforms from a frame to its parent."""
-
-    parent: str
-    static: bool
-    times_s: list[float] = field(default_factory=list)
-    rows: list[list[float]] = field(default_factory=list)
-
-
-class TransformTree:
-    """Transforms between frames over time, as in tf."""
-
-    def __init__(self) -> None:
-        self._edges: dict[str, _Edge] = {}
-        self._sorted: dict[str, tuple[Float[Tensor, " N"], Float[Tensor, "N 7"]]] = {}
-
-    def add(self, message: Any, *, static: bool) -> None:
-        """Add the transforms of a TFMessage."""
-        for t in message.transforms:
-            child, parent = (name.lstrip("/") for name in (t.child_frame_id, t.header.frame_id))
-            edge = self._edges.setdefault(child, _Edge(parent, static))
-            edge.times_s.append(seconds(t.header.stamp))
-            edge.rows.append(_row(t.transform.translation, t.transform.rotation))
-        self._sorted.clear()
-
-    def root(self, frame: str) -> str:
-        """The frame above ``frame`` that has no parent."""
-        return self._chain(frame)[-1]
-
-    def knows(self, frame: str, ancestor: str) -> bool:
-        """Whether ``ancestor`` lies on the path from ``frame`` to the root."""
-        return ancestor in self._chain(frame)
-
-    def lookup(
-        self, frame: str, ancestor: str, time_s: float = 0.0, max_gap_s: float = 0.0, *, fixed: bool = False
-    ) -> Float[Tensor, "4 4"] | None:
-        """Transform from ``frame`` to ``ancestor``; None where a moving one is unknown at that time, or where only
-        ``fixed`` ones count. float64."""
-        T = torch.eye(4, dtype=torch.float64)
-        chain = self._chain(frame)
-        for name in chain[: chain.index(ancestor)]:
-            stamps, rows = self._rows(name)
-            one = self._edges[name].static or len(rows) == 1
-            row = rows[-1] if one else interpolate_rows(stamps, rows, time_s, max_gap_s=max_gap_s)
-            if row is None or (fixed and not self._edges[name].static):
-                return None
-            T = matrices(row[None])[0] @ T
-        return T
-
-    def between(self, frame: str, other: str) -> Float[Tensor, "4 4"] | None:
-        """Transform from ``frame`` to ``other`` through fixed transforms only, float64; or None."""
-        common = next((f for f in self._chain(frame) if self.knows(other, f)), None)
-        if common is None:
-            return None
-        up, down = (self.lookup(f, common, fixed=True) for f in (frame, other))
-        return None if up is None or down is None else torch.linalg.inv(down) @ up
-
-    def _chain(self, frame: str) -> list[str]:
-        chain = [frame]
-        while chain[-1] in self._edges and self._edges[chain[-1]].parent not in chain:
-            chain.append(self._edges[chain[-1]].parent)
-        return chain
-
-    def _rows(self, name: str) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 7"]]:
-        if name not in self._sorted:
-            edge = self._edges[name]
-            self._sorted[name] = in_order(edge.times_s, edge.rows)
-        return self._sorted[name]
-
-
-def pose_rows(message: Any) -> tuple[list[float], str]:
-    """``tx ty tz qx qy qz qw`` of a pose message, and the frame whose pose it is ("" where the message has none)."""
-    if hasattr(message, "transform"):
-        return _row(message.transform.translation, message.transform.rotation), message.child_frame_id.lstrip("/")
-    pose = message.pose
-    pose = pose.pose if hasattr(pose, "pose") else pose
-    return _row(pose.position, pose.orientation), getattr(message, "child_frame_id", "").lstrip("/")
-
-
-def in_order(times_s: list[float], rows: list[list[float]]) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 7"]]:
-    """Finite rows by increasing time, each time once (messages may arrive out of order). float64"""
-    t, table = torch.tensor(times_s, dtype=torch.float64), torch.tensor(rows, dtype=torch.float64).reshape(-1, 7)
-    usable = torch.isfinite(table).all(dim=1) & ((table[:, 3:].norm(dim=1) - 1).abs() < 1e-2)
-    if not bool(usable.any()):
-        raise SequenceError("every pose of the bag is NaN or has no unit quaternion; expected geometry_msgs poses")
-    t, table = t[usable], table[usable]
-    order = t.argsort(stable=True)
-    t, table = t[order], table[order]
-    first = torch.cat([torch.ones(1, dtype=torch.bool), t[1:] > t[:-1]])
-    return t[first].contiguous(), table[first]
-
-
-def seconds(stamp: Any) -> float:
-    """Seconds of a ROS time."""
-    return int(stamp.sec) + int(stamp.nanosec) * 1e-9
-
-
-def _row(position: Any, rotation: Any) -> list[float]:
-    return [position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w]

@@ -1,8 +1,7 @@
 """ROS 1 and ROS 2 bags, written by rosbags' own writers."""
 
 import struct
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Literal
 
 import cv2
@@ -16,113 +15,11 @@ from gsfusion_nb.recordings.convert import ConvertOptions, RosOptions, convert, 
 from gsfusion_nb.types import Camera
 
 pytest.importorskip("rosbags")
-from rosbags.rosbag1 import Writer as Writer1
+from ros_bags import Bag
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 T_BASE_CAM = se3.exp(torch.tensor([0.1, -0.05, 0.2, 1.2, -1.1, 1.25], dtype=torch.float64))
 """Optical frame to base: about the turn between ROS's body and optical axes."""
-
-
-@dataclass
-class Bag:
-    """Writes messages of either ROS into a bag."""
-
-    path: Path
-    version: int
-    storage: StoragePlugin | None = None
-    bag_format: Literal[8, 9] = 9
-
-    def __enter__(self):
-        self.store = get_typestore(Stores.ROS1_NOETIC if self.version == 1 else Stores.ROS2_HUMBLE)
-        tf = get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
-        self.store.register(tf)
-        plugin = self.storage or StoragePlugin.SQLITE3
-        self.writer = (
-            Writer1(self.path)
-            if self.version == 1
-            else Writer2(self.path, version=self.bag_format, storage_plugin=plugin)
-        )
-        self.writer.open()
-        self.connections = {}
-        return self
-
-    def __exit__(self, *_):
-        self.writer.close()
-
-    def make(self, kind, **fields):
-        return self.store.types[kind](**fields)
-
-    def header(self, time_s, frame):
-        ns = round(time_s * 1e9)
-        stamp = self.make("builtin_interfaces/msg/Time", sec=ns // 10**9, nanosec=ns % 10**9)
-        extra = {"seq": 0} if self.version == 1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **extra)
-
-    def put(self, topic, message, time_s):
-        kind = message.__msgtype__
-        if topic not in self.connections:
-            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
-        pack = self.store.serialize_ros1 if self.version == 1 else self.store.serialize_cdr
-        self.writer.write(self.connections[topic], round(time_s * 1e9), pack(message, kind))
-
-    def image(self, topic, time_s, frame, encoding, pixels, *, pad=0, big=False):
-        rows = np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder(">" if big else "<")))
-        rows = rows.reshape(len(rows), -1).view(np.uint8)
-        rows = np.concatenate([rows, np.full((len(rows), pad), 99, np.uint8)], axis=1)
-        h, w = pixels.shape[:2]
-        fields = {"height": h, "width": w, "encoding": encoding, "is_bigendian": int(big), "step": rows.shape[1]}
-        header = self.header(time_s, frame)
-        self.put(topic, self.make("sensor_msgs/msg/Image", header=header, data=rows.flatten(), **fields), time_s)
-
-    def compressed(self, topic, time_s, frame, format, data):
-        array = np.frombuffer(data, np.uint8)
-        header = self.header(time_s, frame)
-        message = self.make("sensor_msgs/msg/CompressedImage", header=header, format=format, data=array)
-        self.put(topic, message, time_s)
-
-    def info(self, topic, time_s, frame, c: Camera, D=(0.0,) * 5):
-        K = np.array([c.fx, 0, c.cx - 0.5, 0, c.fy, c.cy - 0.5, 0, 0, 1])
-        P = np.insert(K.reshape(3, 3), 3, 0, axis=1).flatten()
-        roi = self.make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-        values = {"D": np.array(D), "K": K, "R": np.eye(3).flatten(), "P": P}
-        values = values if self.version == 1 else {k.lower(): v for k, v in values.items()}
-        fields = {"height": c.height, "width": c.width, "distortion_model": "plumb_bob", "roi": roi}
-        fields |= {"binning_x": 0, "binning_y": 0, "header": self.header(time_s, frame)}
-        self.put(topic, self.make("sensor_msgs/msg/CameraInfo", **fields, **values), time_s)
-
-    def row(self, T):
-        from gsfusion_nb.geometry import quaternion
-
-        xyz, q = T[:3, 3].tolist(), quaternion.from_matrix(T[:3, :3]).tolist()
-        return dict(zip("xyz", xyz, strict=True)), {"w": q[0], "x": q[1], "y": q[2], "z": q[3]}
-
-    def tf(self, topic, time_s, parent, child, T):
-        xyz, q = self.row(T)
-        transform = self.make(
-            "geometry_msgs/msg/Transform",
-            translation=self.make("geometry_msgs/msg/Vector3", **xyz),
-            rotation=self.make("geometry_msgs/msg/Quaternion", **q),
-        )
-        stamped = self.make(
-            "geometry_msgs/msg/TransformStamped",
-            header=self.header(time_s, parent),
-            child_frame_id=child,
-            transform=transform,
-        )
-        kind = "tf2_msgs/msg/TFMessage"
-        self.put(topic, self.make(kind, transforms=[stamped]), time_s)
-
-    def pose(self, topic, time_s, T):
-        xyz, q = self.row(T)
-        pose = self.make(
-            "geometry_msgs/msg/Pose",
-            position=self.make("geometry_msgs/msg/Point", **xyz),
-            orientation=self.make("geometry_msgs/msg/Quaternion", **q),
-        )
-        header = self.header(time_s, "map")
-        self.put(topic, self.make("geometry_msgs/msg/PoseStamped", header=header, pose=pose), time_s)
 
 
 def write_tf(bag, takes):
