@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import open_regular, parsing, read_text
 from .realsense_sdk import stream_of
@@ -47,12 +49,10 @@ def _files_of(folder: Path, given: Path) -> list[Path]:
     Raises:
         SequenceError: the given file belongs to no bag there, or the list of files cannot be read.
     """
-    from ruamel.yaml import YAML
-
     listed = folder / METADATA
     what = f"the {METADATA} of a ROS 2 bag"
     with parsing(listed, what):
-        content = YAML(typ="safe").load(read_text(listed, what))
+        content = yaml.safe_load(read_text(listed, what))
         names = [Path(name).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
     if given.is_file() and given.name not in names:
         raise SequenceError(f"{listed} does not name {given.name}; it is of the bag {', '.join(names)}")
