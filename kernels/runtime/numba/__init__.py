@@ -2,3 +2,6 @@
 
 from . import announce as announce
 from . import shared_cache as shared_cache
+from .cache_place import choose_place
+
+choose_place()

@@ -19,7 +19,7 @@ from importlib.util import resolve_name
 from pathlib import Path
 
 from numba.core import dispatcher
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, NullCache
 
 from gsfusion_nb.files import try_lock
 
@@ -108,4 +108,12 @@ class SharedCache(FunctionCache):
         return Path(self._cache_path, f"{self._impl.filename_base}.lock")
 
 
-dispatcher.FunctionCache = SharedCache  # of @njit(cache=True), from here on # pyright: ignore[reportAttributeAccessIssue]
+def cache_of(function):
+    """The cache of a function, which keeps nothing where no folder can be written."""
+    try:
+        return SharedCache(function)
+    except RuntimeError:
+        return NullCache()
+
+
+dispatcher.FunctionCache = cache_of  # of @njit(cache=True), from here on # pyright: ignore[reportAttributeAccessIssue]
