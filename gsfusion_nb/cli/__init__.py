@@ -1,6 +1,8 @@
 """The command ``gsfusion-nb`` and what its first word means: demo, convert, check, map, live, and so on."""
 
+import errno
 import importlib
+import io
 import logging
 import os
 import sys
@@ -19,6 +21,13 @@ from .settings import layout_names, recording_to_open
 
 _USAGE = Path(__file__).with_name("static").joinpath("usage.txt").read_text(encoding="utf-8")
 
+
+_REFUSED = {
+    errno.EACCES: "permission denied",
+    errno.EPERM: "permission denied",
+    errno.EROFS: "the file system is read-only",
+}
+"""Errors of a place that may not be read or written."""
 
 NOBODY_READS = 141
 """Exit status, as of a program that the signal SIGPIPE ended."""
@@ -86,6 +95,9 @@ class DoctorOptions:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line. Exit status: 0 done, 1 an error (its message is printed), 3 a map that ends before its
     recording (``print_result``), 130 interrupted, 141 nobody reads the output any more."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a path in another script ends no command on a terminal of cp1252
+            stream.reconfigure(errors="backslashreplace")
     try:
         status = _main(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
@@ -114,9 +126,9 @@ def _main(arguments: list[str]) -> int:
         raise
     except Exception as e:
         text = e.args[0] if isinstance(e, KeyError) and e.args else e
-        if isinstance(e, PermissionError) and e.filename:
+        if isinstance(e, OSError) and e.errno in _REFUSED and e.filename:
             place = os.path.abspath(os.fsdecode(e.filename))
-            text = f"permission denied: {place}; expected to read it, or to write there: --out names another folder"
+            text = f"{_REFUSED[e.errno]}: {place}; expected to read it, or to write there: --out names another folder"
         elif not (isinstance(e, BackendUnavailable) or is_foreseen(e)):
             text = unforeseen(e, f"gsfusion-nb {name}", rest)
         print(f"gsfusion-nb {name}: {text}", file=sys.stderr)

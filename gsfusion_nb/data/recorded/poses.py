@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ...checks import check_pose
+from ...checks import check_pose, shown
 from ...files import read_text, refusing
 from ...geometry import quaternion
 from ...geometry.operands import check_place
@@ -53,7 +53,17 @@ def read_lines(path: Path, what: str) -> list[tuple[int, str]]:
     lines = [(number, line) for number, line in lines if line.strip(" ,") and not line.startswith("#")]
     if not lines:
         raise SequenceError(f"{path} is empty; expected {what}")
+    check_decimal_points(lines[0][1], path)
     return lines
+
+
+_DECIMAL_COMMAS = re.compile(r"(-?\d+(,\d+(e[-+]?\d+)?)?[\s;]+){3,}-?\d+(,\d+(e[-+]?\d+)?)?")
+
+
+def check_decimal_points(line: str, path: Path) -> None:
+    """Raise ``SequenceError`` for a line of numbers with decimal commas: read as separators they double the numbers."""
+    if "," in line and _DECIMAL_COMMAS.fullmatch(line.strip()):
+        raise SequenceError(f"{path} has decimal commas, {shown(line[:40])}; write decimal points, 1.5 instead of 1,5")
 
 
 def write_pose_lines(path: Path, T_WC: Float[Tensor, "N 4 4"]) -> None:

@@ -133,7 +133,7 @@ def _examine(
     code_finding = replace(code_finding, repair=flags_of(limits))
     data = combined(DataConfig(repair=repair), DataConfig(repair=colour))
     data = combined(combined(data, limits), combined(piece, DataConfig(repair=RepairConfig(skip=skip))))
-    coverage = missing_finding(sample.frames)
+    coverage = missing_finding(sample.frames, repair.depth_factor)
     findings = [first, coverage, code_finding, *about, *colour_findings, *images, *last]
     return findings, data, reader, graphs
 

@@ -12,6 +12,7 @@ from ...config import DataConfig, RepairConfig
 from ...data.adjust.poses import reread_poses
 from ...drawing.page import PageGraph, page_graph
 from ...geometry import se3
+from ...types import Camera
 from .fit import CalibrationCorrection, FitData, reproject
 from .report import Finding, flags_of
 from .sample import Sample
@@ -21,6 +22,8 @@ _USABLE_GREY = (12, 243)
 _SAME_GREY = 10.0
 """Grey levels by which two pictures of a point may differ."""
 _PART = 64
+_FEWEST_POINTS = 50
+"""Of a pair of frames, to compare them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,13 +101,19 @@ def gains(
 ) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
     """Brightness of the same points in the second / first frame of each pair, log2, without those near black or white;
     the median relative difference of their depths; and the share of all points that agree in depth and, apart from that
-    ratio, in brightness. NaN, and 0, if there are too few points."""
+    ratio, in brightness.
+
+    With too few points that meet a depth the first two are NaN. The share is then 0 where the points leave the image,
+    and NaN, not measured, where they meet pixels without depth."""
     uv_b, residual, all_known = reproject(data, correction)
     there, residual, (low, high) = sample.by_place, residual.abs(), _USABLE_GREY
     stops, errors, shares = np.full(len(pairs), np.nan), np.full(len(pairs), np.nan), np.zeros(len(pairs))
     for j, (first, second) in enumerate(pairs):
         known = all_known[j]
-        if int(known.sum()) < 50:
+        if int(known.sum()) < _FEWEST_POINTS:
+            inside = _is_inside(uv_b[j], data.camera) & (data.depth_a[j] > 0)
+            if int(inside.sum()) >= _FEWEST_POINTS:
+                shares[j] = np.nan
             continue
         errors[j] = float(residual[j][known].median())
         agrees = known & (residual[j] < _AGREES_FOR_COLOUR)
@@ -115,6 +124,10 @@ def gains(
             stops[j] = float(np.median(np.log2(b[good] / a[good])))
             shares[j] = (np.abs(b / 2 ** stops[j] - a) < _SAME_GREY).sum() / int((data.depth_a[j] > 0).sum())
     return stops, errors, shares
+
+
+def _is_inside(uv: Float[torch.Tensor, "N 2"], camera: Camera) -> Bool[torch.Tensor, " N"]:
+    return (uv[:, 0] > 0) & (uv[:, 0] < camera.width) & (uv[:, 1] > 0) & (uv[:, 1] < camera.height)
 
 
 def _look_up(grey: np.ndarray, uv: torch.Tensor, depth_width: int) -> np.ndarray:

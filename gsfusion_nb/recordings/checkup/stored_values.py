@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...config import RepairConfig
+from ...config import RepairConfig, TsdfConfig
 from ...data.adjust.poses import raw_matrices
 from ...data.lens import same_proportions
 from ...data.recorded.images import read_depth, read_rgb
@@ -135,6 +135,8 @@ _CODE_SHARE = 5e-4
 _CODE_GAP = 1.3
 """A code at the far end is at least this many times the 99th percentile of the other depths."""
 _MANY_MISSING, _MOST_MISSING = 0.5, 0.85
+_LEAST_IN_RANGE = 0.25
+"""Share of the depth in the range that is mapped by default; hand-held recordings of rooms have 0.9 and more."""
 DepthCode = tuple[float, bool]
 
 
@@ -162,8 +164,9 @@ def clear_codes(frames: abc.Sequence[FrameFacts], depth_scale: float | None) -> 
             values, total = others, total + share
     for frame in frames:
         for value_m, _ in codes:
-            frame.depth_m[(frame.depth_m - value_m).abs() <= 1e-5 * value_m] = 0.0
-        frame.missing = float((frame.depth_m <= 0).float().mean())
+            coded = (frame.depth_m - value_m).abs() <= 1e-5 * value_m
+            frame.depth_m[coded] = 0.0
+            frame.missing += float(coded.float().mean())
     if not codes:
         return codes, Finding("depth codes", "ok", 'No value but 0 stands for "missing".')
     stored = " and ".join(f"{v * depth_scale:.0f}" if depth_scale else f"{v:.4g} m" for v, _ in codes)
@@ -171,8 +174,9 @@ def clear_codes(frames: abc.Sequence[FrameFacts], depth_scale: float | None) -> 
     return codes, Finding("depth codes", "wrong", text)
 
 
-def missing_finding(frames: abc.Sequence[FrameFacts]) -> Finding:
-    """Finding: how much depth is missing?"""
+def missing_finding(frames: abc.Sequence[FrameFacts], depth_factor: float = 1.0) -> Finding:
+    """Finding: how much depth is missing, or outside of the range that is mapped after depth is multiplied by
+    ``depth_factor``?"""
     shares = sorted(f.missing for f in frames)
     middle, most = shares[len(shares) // 2], shares[-1]
     values = torch.cat([f.depth_m[f.depth_m > 0] for f in frames])
@@ -181,10 +185,32 @@ def missing_finding(frames: abc.Sequence[FrameFacts]) -> Finding:
         f"{middle:.0%} of the pixels have no depth (at most {most:.0%} in a frame); depths {near:.2f} to {far:.2f} m, "
         f"median {median:.2f} m."
     )
+    range_finding = _range_finding(values * depth_factor, text)
+    if range_finding is not None:
+        return range_finding
     if middle <= _MANY_MISSING:
         return Finding("depth coverage", "ok", text)
     repair = "stay within the sensor's range when recording; sunlight, glass and black surfaces give no depth"
     return Finding("depth coverage", "wrong" if middle > _MOST_MISSING else "doubtful", text, repair)
+
+
+def _range_finding(depths_m: torch.Tensor, text: str) -> Finding | None:
+    """A finding where little of the depth is in the range that is mapped by default; ``text`` is its beginning."""
+    mapped = TsdfConfig()
+    in_range = (depths_m > mapped.near_m) & (depths_m < mapped.far_m)
+    share = float(in_range.float().mean()) if len(depths_m) else 1.0
+    if share >= _LEAST_IN_RANGE:
+        return None
+    near_m = 0.9 * _percentile(depths_m, 0.01)
+    far_m = 1.1 * _percentile(depths_m, 0.99)
+    text += f" Only {share:.0%} of it lies between {mapped.near_m:g} and {mapped.far_m:g} m, where depth is mapped."
+    ranged = f"--tsdf.near-m {near_m:.2g} --tsdf.far-m {far_m:.2g}"
+    voxel_m = max(0.001, far_m / _VOXELS_ACROSS)
+    return Finding("depth coverage", "doubtful", text, f"map with {ranged} --tsdf.voxel-size-m {voxel_m:.1g}")
+
+
+_VOXELS_ACROSS = 600
+"""Voxels over the farthest depth: 1 cm at 6 m, the default."""
 
 
 def _percentile(values: torch.Tensor, q: float) -> float:

@@ -1,9 +1,12 @@
 """Repairs tried before they are advised: the recording is read with them, and its frames are compared again."""
 
 import itertools
+import math
 from collections import abc
 from dataclasses import replace
 from typing import NamedTuple
+
+import numpy as np
 
 from ...config import DataConfig, RepairConfig
 from ...data.adjust.poses import times_of
@@ -18,8 +21,8 @@ from .sample import Sample, read_sample
 from .stored_values import clear_codes
 
 LIMITS = ("start", "stop", "depth_min_m", "depth_max_m")
-_LEAST_GAIN = 0.0005
-"""A repair is advised if this share more of the points agree, ..."""
+_LEAST_GAIN = 0.001
+"""A repair is advised if this share more of the points agree, which the digits that are shown can show, ..."""
 _LEAST_CONTRAST = 1.02
 """... or if colour has so many times the contrast on depth edges, and ..."""
 _MOST_LOSS = 0.01
@@ -32,17 +35,27 @@ class Trial(NamedTuple):
     """How well the frames agree, as they were read."""
 
     share: float
-    """Share of the points of a frame that agree with another frame in depth (3 per cent) and in brightness."""
+    """Share of the points of a frame that agree with another frame in depth (3 per cent) and in brightness; NaN: not
+    measured, since too few points meet a depth."""
     contrast: float
     """Contrast of colour on the depth edges, relative to the neighbourhood."""
 
+    def is_measured(self, before: "Trial") -> bool:
+        """Whether this and ``before`` can be compared."""
+        return not math.isnan(self.share) and not math.isnan(before.share)
+
     def gains(self, before: "Trial") -> bool:
-        """Whether this is better than ``before``."""
+        """Whether this is better than ``before``, or cannot be compared with it: what was not measured is no reason
+        against a repair."""
+        if not self.is_measured(before):
+            return True
         sharper = self.contrast > _LEAST_CONTRAST * before.contrast
         return self.share > before.share + _LEAST_GAIN or (sharper and self.share > before.share - _MOST_LOSS)
 
     def beside(self, before: "Trial") -> str:
         """Both in words, without the repair first."""
+        if not self.is_measured(before):
+            return "too few points meet a depth in the other frame to measure how many agree"
         return (
             f"{before.share:.1%} -> {self.share:.1%} of the points agree in depth and brightness, contrast on depth "
             f"edges {before.contrast:.2f} -> {self.contrast:.2f}"
@@ -103,7 +116,9 @@ class Trials:
             if pairs:
                 shares = gains(sample, pairs, FitData.of(sample, pairs, RepairConfig()), CalibrationCorrection())[2]
                 edges = [depth_edges(f.depth_m.numpy()) for f in sample.frames]
-                self._known[key] = Trial(float(shares.mean()), on_edges(edges, sample.frames))
+                measured = shares[~np.isnan(shares)]
+                share = float(measured.mean()) if len(measured) else math.nan
+                self._known[key] = Trial(share, on_edges(edges, sample.frames))
         return self._known[key]
 
     def in_time(self, e: Explanation, sample: Sample) -> tuple[Explanation, Sample]:
@@ -148,6 +163,8 @@ class Trials:
                 before, after = self.of(rest, among=among), self.of(kept, other, among)
                 gained = after.gains(before)
                 tried = f"Tried{'' if gained else ', and no better'}: {after.beside(before)}."
+                if not after.is_measured(before):
+                    tried = f"Could not be tried: {after.beside(before)}."
                 f = replace(f, sentence=f"{f.sentence} {tried}")
                 if gained:
                     self.base = other or self.base

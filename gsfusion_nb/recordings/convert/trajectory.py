@@ -13,7 +13,15 @@ from torch import Tensor
 
 from ...checks import check_pose
 from ...data.recorded.files import images_in
-from ...data.recorded.poses import checked_pose, checked_rows, interpolate_rows, matrices, read_rows, read_words
+from ...data.recorded.poses import (
+    check_decimal_points,
+    checked_pose,
+    checked_rows,
+    interpolate_rows,
+    matrices,
+    read_rows,
+    read_words,
+)
 from ...data.recorded.times import PER_SECOND, date_unit, judge_stamps
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
@@ -319,6 +327,7 @@ def _table(path: Path) -> tuple[Float[Tensor, "N 8"], dict[Any, float]]:
     rows: list[list[float]] = []
     time_of_frame: dict[Any, float] = {}
     for number, line in enumerate(lines, 1):
+        check_decimal_points(line, path)
         words = [w for w in re.split(r"[,\s]+", line.strip()) if w]
         if not words or line.lstrip().startswith(("#", "%")) or (not rows and words[0][:1].isalpha()):
             if columns is None:
@@ -377,6 +386,8 @@ def read_matrix(path: Path) -> Float[Tensor, "4 4"]:
 def read_numbers(path: Path, what: str) -> list[float]:
     """All numbers of a text file; brackets, commas and ``#`` comments are ignored."""
     lines = [line.split("#")[0] for line in read_text(path, what).splitlines()]
+    for line in lines:
+        check_decimal_points(line, path)
     words = " ".join(lines).translate(str.maketrans("[](){},;", "        ")).split()
     with parsing(path, what):
         return [float(w) for w in words]

@@ -1,6 +1,7 @@
 """Single findings: what files say before frames are made of them; the brightness of the same points."""
 
 import dataclasses
+import math
 
 import cv2
 import numpy as np
@@ -9,9 +10,13 @@ import torch
 
 from gsfusion_nb.config import RepairConfig
 from gsfusion_nb.data import folder
+from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.recordings.checkup import check_recording
 from gsfusion_nb.recordings.checkup.frames import OverFrames, exposure_finding
-from gsfusion_nb.recordings.checkup.stored_values import image_size, pose_matrices, time_stamps
+from gsfusion_nb.recordings.checkup.sample import read_sample, without_speckle
+from gsfusion_nb.recordings.checkup.stored_values import image_size, missing_finding, pose_matrices, time_stamps
+from gsfusion_nb.recordings.checkup.trial import Trial
 
 
 @pytest.fixture
@@ -92,3 +97,69 @@ def test_fitting_exposures_is_advised_where_it_pays(step, spread, verdict, fit):
     finding = exposure_finding(over, np.array([np.nan, spread, -0.05]))
     assert finding.verdict == verdict
     assert ("--optim.fit-exposure" in finding.sentence + finding.repair) == fit
+
+
+class Speckled:
+    """Frames of the built-in room with single pixels of depth missing everywhere, ten times too far."""
+
+    def __init__(self, valid: float):
+        self.frames = [room(n_frames=120, width=160, height=120)[2 * i] for i in range(8)]
+        self.valid = valid
+        self.camera = self.frames[0].camera
+        self.name = "speckled"
+
+    def __len__(self):
+        return len(self.frames)
+
+    def __iter__(self):
+        return (self[i] for i in range(len(self)))
+
+    def __getitem__(self, i):
+        there = torch.rand(120, 160, generator=torch.Generator().manual_seed(i)) < self.valid
+        return dataclasses.replace(self.frames[i], index=i, depth_m=10 * self.frames[i].depth_m * there)
+
+    def pose(self, i):
+        return self.frames[i].T_WC
+
+
+@pytest.mark.parametrize("valid", [0.7, 0.5, 0.3])
+def test_the_unit_of_speckled_depth_is_found(valid):
+    report = check_recording(Speckled(valid), pictures=False)
+    findings = {finding.name: finding for finding in report.findings}
+    assert report.data.repair.depth_factor == pytest.approx(0.1, rel=0.02)
+    assert findings["depth scale"].verdict == "wrong"
+    assert findings["registration"].verdict in ("ok", "unknown")
+    assert f"{1 - valid:.0%} of the pixels have no depth" in findings["depth coverage"].sentence
+
+
+def test_only_speckle_is_filled(generator):
+    slope = torch.linspace(1.0, 2.0, 64).expand(48, 64).contiguous()
+    speckled = slope * (torch.rand(48, 64, generator=generator) < 0.5)
+    filled = without_speckle(speckled.numpy())
+    assert (filled > 0).mean() > 0.99
+    assert np.abs(filled - slope.numpy())[filled > 0].max() < 0.04  # two columns of the slope, and a little
+    assert np.array_equal(filled[speckled > 0], speckled[speckled > 0])
+    with_hole = slope.clone()
+    with_hole[10:30, 20:40] = 0
+    assert np.array_equal(without_speckle(with_hole.numpy()), with_hole.numpy())
+    assert not without_speckle(np.zeros((8, 8), np.float32)).any()
+
+
+@pytest.mark.parametrize(("factor", "verdict"), [(1.0, "ok"), (20.0, "doubtful"), (0.04, "doubtful")])
+def test_depth_outside_of_the_mapped_range_is_told(factor, verdict):
+    """A street, and what an endoscope sees: in order as it is, but nothing of it is mapped by default."""
+    frames = [dataclasses.replace(f, depth_m=factor * f.depth_m) for f in read_sample(Speckled(1.0)).frames]
+    finding = missing_finding(frames, depth_factor=0.1)
+    assert finding.verdict == verdict
+    assert ("--tsdf.far-m" in finding.repair) == (verdict == "doubtful")
+
+
+def test_what_was_not_measured_is_no_reason_against_a_repair():
+    unknown = Trial(share=math.nan, contrast=1.0)
+    some = Trial(share=0.5, contrast=1.0)
+    assert unknown.gains(some)
+    assert some.gains(unknown)
+    assert "too few points meet a depth" in some.beside(unknown)
+    assert not some.gains(some)
+    assert not Trial(share=0.5004, contrast=1.0).gains(some)  # 50.0 % -> 50.0 %
+    assert Trial(share=0.502, contrast=1.0).gains(some)

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data.recorded.poses import poses_of_images
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, read_trajectory
 
@@ -96,6 +97,20 @@ def test_the_unit_of_a_trajectory_is_the_one_that_spans_the_frames(tmp_path):
     assert "times read as ms" in read_trajectory(tmp_path / "p.txt").notes[-1]
     assert "times read as ms" in read_trajectory(tmp_path / "p.txt", frame_time_s=5.0).notes[-1]
     assert "times read as us" in read_trajectory(tmp_path / "p.txt", frame_time_s=0.005).notes[-1]
+
+
+@pytest.mark.parametrize("separator", [" ", "; ", "\t"])
+def test_decimal_commas_are_named(tmp_path, separator):
+    """Read as separators, they would double the numbers."""
+    row = separator.join(f"{v:.3f}".replace(".", ",") for v in ROWS[1])
+    (tmp_path / "p.txt").write_text(f"{row}\n{row}\n")
+    for read in (read_trajectory, lambda path: poses_of_images(path, [path])):
+        with pytest.raises(SequenceError, match=r"p\.txt has decimal commas, '11,000.*write decimal points"):
+            read(tmp_path / "p.txt")
+    whole = "1,2,3,4,5,6,7,8"  # commas that separate
+    (tmp_path / "p.txt").write_text(f"{whole}\n")
+    with pytest.raises(SequenceError, match="unit quaternion"):
+        read_trajectory(tmp_path / "p.txt")
 
 
 def test_lost_poses_are_left_out(tmp_path):
