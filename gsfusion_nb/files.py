@@ -376,6 +376,12 @@ def noting_files() -> Iterator[list[Path]]:
             outer += noted
 
 
+LEAST_MEMORY_BYTES = 1 << 29
+MOST_MEMORY_PER_BYTE = 100
+"""A packed file of ours may take as much memory as the first, or as many times its size as the second: the TSDFs of
+runs take 8 to 16 times the size of their files, and files that are made to harm a thousand times and more."""
+
+
 def open_regular(path: str | Path, what: str) -> BufferedReader:
     """Open a plain file for reading bytes. Pipes, sockets, devices and folders are refused, before anything waits.
 

@@ -22,7 +22,15 @@ import torch
 from torch import Tensor
 
 from ..checks import shown
-from ..files import atomic_file, open_regular, read_object, reason_of, write_file
+from ..files import (
+    LEAST_MEMORY_BYTES,
+    MOST_MEMORY_PER_BYTE,
+    atomic_file,
+    open_regular,
+    read_object,
+    reason_of,
+    write_file,
+)
 from ..work import MAP_MEMORY
 
 FORMAT = "gsfusion_nb checkpoint"
@@ -181,10 +189,15 @@ class CheckpointStore:
                 mapped = sys.platform != "win32"  # more than memory may hold
                 source = self.folder / name if mapped else file
                 content = torch.load(source, map_location="cpu", weights_only=True, mmap=mapped)
+                _check_buffers(content, name)
             if name.endswith(".constants"):
                 constants |= content
             else:
                 state = content
+        size = sum((self.folder / name).stat().st_size for name in document["files"])
+        joined = _joined_bytes(state, constants)
+        if joined > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
+            raise ValueError(f"its files of {size / 1e6:.1f} MB ask for {joined / 1e9:.1f} GB of memory")
         return _whole(state, constants), list(document["files"])
 
     def _remove_all_but(self, wanted: set[str]) -> None:
@@ -249,6 +262,30 @@ def _on_disk(tensor: Tensor) -> Tensor:
         return plain.clone()
     values = torch.from_numpy(plain.view(-1).view(torch.uint8).numpy())  # NumPy does not know all types
     return values.view(plain.dtype).view(plain.shape)
+
+
+def _check_buffers(value: Any, name: str) -> None:
+    """Raise ``ValueError`` for a tensor that stands for more memory than it has, as one with a stride of 0."""
+    if isinstance(value, Tensor):
+        if value.nbytes > value.untyped_storage().nbytes():
+            raise ValueError(f"{name} has a tensor {list(value.shape)} of more values than are stored for it")
+    elif isinstance(value, dict):
+        for part in value.values():
+            _check_buffers(part, name)
+    elif isinstance(value, list | tuple):
+        for part in value:
+            _check_buffers(part, name)
+
+
+def _joined_bytes(value: Any, constants: dict[str, Tensor]) -> int:
+    """Memory that the tensors in parts take when they are joined; a part may occur several times."""
+    if isinstance(value, dict):
+        if _PARTS in value:
+            return sum(constants[place].nbytes for place in value[_PARTS])
+        return sum(_joined_bytes(part, constants) for part in value.values())
+    if isinstance(value, list | tuple):
+        return sum(_joined_bytes(part, constants) for part in value)
+    return 0
 
 
 def _whole(value: Any, constants: dict[str, Tensor]) -> Any:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from ..config import TsdfConfig, to_dict
-from ..files import SequenceError, atomic_file, open_regular, parsing
+from ..files import LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE, SequenceError, atomic_file, open_regular, parsing
 from ..tsdf import TsdfVolume
 from ..tsdf.block_pool import VOXELS_PER_BLOCK
 
@@ -56,12 +56,15 @@ def read_tsdf(path: str | Path, config: TsdfConfig, device: torch.device | str =
     """
     path = Path(path)
     with open_regular(path, WHAT) as file, parsing(path, WHAT), np.load(file, allow_pickle=False) as archive:
+        _check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()))
         for name, wanted in (("voxel_size_m", config.voxel_size_m), ("truncation_m", config.truncation_m)):
             if not math.isclose(float(archive[name]), wanted, rel_tol=1e-9):
                 raise SequenceError(
                     f"{path} has {name} {float(archive[name]):g}, but the settings of the run say {wanted:g}"
                 )
-        coords, D, W, rgb = (archive[name] for name in ("block_coords", "D", "W", "rgb"))
+        coords = archive["block_coords"]
+        _check_memory(path, len(coords) * _BLOCK_BYTES)
+        D, W, rgb = (archive[name] for name in ("D", "W", "rgb"))
         observed = torch.from_numpy(np.unpackbits(archive["observed"], axis=1).astype(bool))
     n = len(coords)
     columns: dict[str, Any] = {"D": torch.ones(n, VOXELS_PER_BLOCK), "W": torch.zeros(n, VOXELS_PER_BLOCK)}
@@ -75,6 +78,20 @@ def read_tsdf(path: str | Path, config: TsdfConfig, device: torch.device | str =
         state = columns | {"rgb": planes.transpose(0, 1).contiguous(), "block_coords": torch.from_numpy(coords)}
         volume.load_state_dict({"config": to_dict(config), **state})
     return volume
+
+
+_BLOCK_BYTES = 20 * VOXELS_PER_BLOCK
+"""Of a block in memory: D, W and three colours as float32."""
+
+
+def _check_memory(path: Path, n_bytes: int) -> None:
+    """Raise ``SequenceError`` before a file takes far more memory than one of its size can hold a map of."""
+    size = path.stat().st_size
+    if n_bytes > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
+        raise SequenceError(
+            f"{path} of {size / 1e6:.1f} MB asks for {n_bytes / 1e9:.1f} GB of memory, more than "
+            f"{MOST_MEMORY_PER_BYTE} times its size; expected {WHAT}"
+        )
 
 
 def as_stored(volume: TsdfVolume) -> TsdfVolume:

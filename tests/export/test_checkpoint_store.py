@@ -1,3 +1,4 @@
+import hashlib
 import json
 import sys
 from pathlib import Path
@@ -140,4 +141,28 @@ def test_another_version_is_refused(tmp_path, version):
     path = tmp_path / "000001.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": version}))
     with pytest.raises(ValueError, match=f"expected a gsfusion_nb checkpoint of version 7, got version {version}: map"):
+        CheckpointStore(tmp_path).load()
+
+
+def with_right_checksums(folder: Path, name: str, content) -> None:
+    """Put ``content`` into a file of a checkpoint, as somebody would who means harm."""
+    torch.save(content, folder / name)
+    document = json.loads((folder / "000001.json").read_text())
+    document["files"][name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    (folder / "000001.json").write_text(json.dumps(document))
+
+
+def test_a_tensor_of_more_values_than_are_stored_is_refused(tmp_path):
+    CheckpointStore(tmp_path).save(state())
+    with_right_checksums(tmp_path, "000001.state", {"rows": torch.zeros(1).expand(2_500_000_000)})
+    with pytest.raises(ValueError, match=r"000001\.state has a tensor \[2500000000\] of more values than are stored"):
+        CheckpointStore(tmp_path).load()
+
+
+def test_a_part_that_occurs_a_thousand_times_is_refused(tmp_path):
+    CheckpointStore(tmp_path).save({"image": torch.rand(500_000)}, constant=())
+    with_right_checksums(tmp_path, "000001.constants", {"000001.constants 0": torch.zeros(2_000_000)})
+    parts = {"rows": {"$parts": ["000001.constants 0"] * 1000}}
+    with_right_checksums(tmp_path, "000001.state", parts)
+    with pytest.raises(ValueError, match=r"its files of 8\.0 MB ask for 8\.0 GB of memory"):
         CheckpointStore(tmp_path).load()

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.export import read_tsdf, write_tsdf
+from gsfusion_nb.export import read_tsdf, tsdf_file, write_tsdf
 from gsfusion_nb.export.tsdf_file import as_stored
 from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast
 from gsfusion_nb.types import Camera, Frame
@@ -80,4 +80,21 @@ def test_a_file_that_is_not_in_order_is_refused(damage, says, volume, tmp_path):
     write_tsdf(path, volume)
     damage(path)
     with pytest.raises((ValueError, FileNotFoundError), match=says):
+        read_tsdf(path, CONFIG)
+
+
+def test_a_small_file_cannot_ask_for_much_memory(tmp_path, monkeypatch):
+    """Blocks of nothing, and an archive that unpacks to a thousand times its size."""
+    monkeypatch.setattr(tsdf_file, "LEAST_MEMORY_BYTES", 1 << 20)
+    n = 100_000
+    coords = np.zeros((n, 3), np.int32)
+    coords[:, 0] = np.arange(n)
+    nothing = {"D": np.zeros(0, np.int16), "W": np.zeros(0, np.float16), "rgb": np.zeros((3, 0), np.uint8)}
+    size = {"voxel_size_m": CONFIG.voxel_size_m, "truncation_m": CONFIG.truncation_m}
+    path = tmp_path / "tsdf.npz"
+    np.savez_compressed(path, block_coords=coords, observed=np.zeros((n, 64), np.uint8), **nothing, **size)
+    with pytest.raises(ValueError, match=r"tsdf\.npz of .* MB asks for 1\.0 GB of memory"):
+        read_tsdf(path, CONFIG)
+    np.savez_compressed(path, block_coords=coords[:1], D=np.zeros(5_000_000, np.int8), **size)
+    with pytest.raises(ValueError, match=r"tsdf\.npz of .* MB asks for 0\.0 GB of memory"):
         read_tsdf(path, CONFIG)

@@ -17,7 +17,7 @@ from ...checks import shown
 from ...files import is_file
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
-from ..recorded.files import calibration_in, given_name, natural_order, require
+from ..recorded.files import calibration_in, given_name, natural_order, require, told_outside
 from ..recorded.poses import checked_rows, interpolate_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import associate, judge_stamps, read_image_list
@@ -137,7 +137,10 @@ def _stream(path: Path) -> tuple[list[float], list[Path]]:
     listed = [(t, file) for ((t, file),) in read_image_list(path) if is_file(file)]
     if not listed:
         raise SequenceNotFoundError(f"{path} names no image that is there; expected the images beside it")
-    stamps, files = [t for t, _ in listed], [file for _, file in listed]
+    stamps = [t for t, _ in listed]
+    files = [file for _, file in listed]
+    if note := told_outside(path.parent, files):
+        log.warning("%s: %s", path, note)
     judged = judge_stamps(stamps, names=[natural_order(f) for f in files], unit="s")
     if judged.times_s is None:
         raise SequenceError(

@@ -3,6 +3,7 @@
 import math
 import os
 import re
+from collections.abc import Iterable
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -95,6 +96,18 @@ def pair_by_stem(rgb_files: list[Path], depth_files: list[Path]) -> list[Path]:
         if p.stem not in stems:
             raise SequenceError(f"{rgb_files[0].parent} has no colour image {p.stem}; expected one for {p}")
     return [depth_of[p.stem] for p in rgb_files]
+
+
+def told_outside(folder: Path, files: Iterable[Path]) -> str:
+    """A sentence on listed files that are not in the folder of their list; empty if all are.
+
+    A list of somebody else's can name any file of this machine, whose content would then stand in a map.
+    """
+    root = Path(os.path.abspath(folder))
+    outside = [file for file in files if not Path(os.path.abspath(file)).is_relative_to(root)]
+    if not outside:
+        return ""
+    return f"{len(outside)} of the listed images lie outside of {folder}, the first is {os.path.abspath(outside[0])}"
 
 
 def natural_order(path: Path) -> list[tuple[int, int | Decimal | str]]:

@@ -6,6 +6,7 @@ floating point, NumPy or OpenEXR, registered to colour. Where several kinds fit,
 """
 
 import contextlib
+import itertools
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence, Set
@@ -19,7 +20,7 @@ from torch import Tensor
 from ....data.lens import CameraModel
 from ....data.readers.seven_scenes import calibrated_folders
 from ....data.readers.tum import LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
-from ....data.recorded.files import CALIBRATION_SUFFIXES, calibration_in, images_in, natural_order
+from ....data.recorded.files import CALIBRATION_SUFFIXES, calibration_in, images_in, natural_order, told_outside
 from ....data.recorded.images import read_rgb
 from ....data.recorded.times import Stamps, associate, common_unit, judge_stamps
 from ....data.sequence import BadFrameError, SequenceError
@@ -371,7 +372,7 @@ def recording_of(
         has_poses=bool(poses or T_WC),
         poses_file="" if T_WC else poses,
         dropped=found.dropped,
-        notes=(*about, *found.notes, *unit),
+        notes=(*about, *found.notes, *unit, *filter(None, [told_outside(path, itertools.chain(*found.pairs))])),
     )
 
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ....checks import shown
 from ....data.lens import CameraModel
-from ....data.recorded.files import natural_order, number
+from ....data.recorded.files import natural_order, number, told_outside
 from ....data.recorded.images import read_rgb
 from ....data.recorded.poses import GL_TO_CV
 from ....data.sequence import SequenceError
@@ -59,6 +59,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         )
     world, notes = _undo(values, file)
     scale = options.depth_scale or _depth_scale(values, file)
+    keys = ("file_path", *_DEPTH_KEYS)
+    outside = told_outside(file.parent, (file.parent / frame[key] for frame in frames for key in keys if key in frame))
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for frame in frames:
@@ -76,7 +78,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         frames=recorded_frames,
         n_frames=len(frames),
         depth_scale=scale,
-        notes=(*notes, f"depth read as {scale:g} per metre"),
+        notes=(*notes, f"depth read as {scale:g} per metre", *filter(None, [outside])),
     )
 
 

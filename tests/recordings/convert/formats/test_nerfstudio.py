@@ -56,6 +56,16 @@ def test_depth_of_instant_ngp_and_nerfcapture(tmp_path, takes):
     takes.check(tmp_path / "out")
 
 
+def test_images_outside_of_the_folder_are_told(tmp_path, takes):
+    root = write_nerfstudio(tmp_path / "scan", takes)
+    (root / "depth").rename(tmp_path / "depth")
+    text = (root / "transforms.json").read_text()
+    (root / "transforms.json").write_text(text.replace('"depth/', f'"{tmp_path}/depth/'))
+    report = convert(root, tmp_path / "out")
+    assert any(note.startswith("4 of the listed images lie outside of") for note in report.notes)
+    takes.check(tmp_path / "out")
+
+
 def test_is_fisheye_is_a_fisheye(tmp_path, takes):
     lens = {"k1": 0.02, "k2": -0.01, "k3": 0.003, "k4": -0.001}
     named = write_nerfstudio(tmp_path / "a", takes, **{"camera_model": "OPENCV_FISHEYE"} | lens)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
 
 
@@ -75,6 +75,22 @@ def test_ticks_of_a_hololens(tmp_path, takes):
     (root / "calibration.txt").write_text(f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}\n")
     convert(root, tmp_path / "out", options=ConvertOptions(depth_scale=1000.0))
     takes.check(tmp_path / "out", frames=[0, 3], pose=1e-5)
+
+
+def test_images_outside_of_the_folder_are_told(tmp_path, takes, caplog):
+    """A list of somebody else's may name any file of this machine."""
+    root = write_tum(tmp_path / "freiburg1", takes)
+    (root / "calibration.txt").unlink()
+    (root / "rgb").rename(tmp_path / "elsewhere")
+    lists = (root / "rgb.txt").read_text()
+    (root / "rgb.txt").write_text(lists.replace(" rgb/", " ../elsewhere/"))
+    c = takes.camera
+    options = ConvertOptions(intrinsics=f"{c.fx} {c.fy} {c.cx} {c.cy}", depth_scale=5000.0)
+    report = convert(root, tmp_path / "out", options=options)
+    told = f"4 of the listed images lie outside of {root}, the first is {tmp_path / 'elsewhere'}"
+    assert any(note.startswith(told) for note in report.notes)
+    open_sequence(root, camera=takes.camera)
+    assert told in caplog.text
 
 
 def test_without_poses_or_intrinsics_says_what_to_give(tmp_path, takes):
