@@ -30,6 +30,7 @@ COLUMNS = {
     "psnr": ("PSNR, dB", ".2f", "psnr_{}_db", 1), "ssim": ("SSIM", ".3f", "ssim_{}", 1),
     "lpips": ("LPIPS", ".3f", "lpips_{}", 1), "ate": ("ATE RMSE, cm", ".2f", "ate_rmse_m", 100),
     "fps": ("frames/s", ".2f", "fps_mean_inverse", 1), "mb": ("MB", ".1f", "model_size_mb", 1),
+    "memory": ("memory, MB", ".0f", "peak_memory_mb", 1),
 }  # fmt: skip
 """Column -> heading, format, our metric with {} for the group of views, and factor to the unit shown."""
 
@@ -53,6 +54,8 @@ class DataSet:
     reader: Mapping[str, Any] = field(default_factory=dict)
     published: Sequence[Mapping[str, Any]] = ()
     """Rows of papers, means over the scenes: system, source (paper and table), numbers (column -> value)."""
+    tables: Sequence[Mapping[str, Any]] = ()
+    """Tables of papers with other columns, or of other data: title, columns, and rows (name -> values as text)."""
 
 
 DATA_SETS = {name: DataSet(**values) for name, values in read_packaged(Path(__file__).with_suffix(".toml")).items()}
@@ -160,7 +163,15 @@ def report(asked: DataSet, results: Sequence[RunResult], changed: Mapping[str, A
     table = [f"| {' | '.join(row)} |" for row in (heads, ["---", *["---:"] * len(COLUMNS), "---"], *rows)]
     seeming = [*map(str, equal_maps(results)), *unknown_maps(results), *shared_frames(units)]
     listed = [f"- {sentence}" for sentence in (*said, *cards, *seeming, *unread, *failed)]
-    return "\n".join([f"# {asked.title}", "", *table, "", *listed, ""])
+    more = [line for found in asked.tables for line in _published_table(found)]
+    return "\n".join([f"# {asked.title}", "", *table, "", *listed, "", *more])
+
+
+def _published_table(found: Mapping[str, Any]) -> list[str]:
+    """The lines of a table of a paper."""
+    rows = [["", *found["columns"]], ["---", *["---:"] * len(found["columns"])]]
+    rows += [[name, *values] for name, values in found["rows"].items()]
+    return [f"## {found['title']}", "", *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
 def _means(own: Sequence[RunResult], views: str, units: Mapping[str, str]) -> dict[str, float]:

@@ -146,10 +146,12 @@ class TsdfConfig(Settings, group="tsdf"):
     noise; "int16": the mean in whole numbers of 1/32767 truncation distances, rounded towards zero, as the released
     code."""
     colour_band_voxels: float = within(1.5, 0, 64, before=0.0)
-    """A voxel takes its colour from pixels whose surface is within this distance of its centre, voxels; the weight
-    falls from 1 at the surface to 0 there. Larger: blurs colours, because voxels in front of and behind a surface see
-    other places at an angle; smaller: fewer observations, more noise. 0: from all pixels that observe it, with equal
-    weights, as GSFusion. Usual: 1 to 2."""
+    """A voxel takes its colour from pixels whose surface is within this distance of its centre, voxels. Larger: blurs
+    colours, because voxels in front of and behind a surface see other places at an angle; smaller: fewer observations,
+    more noise. 0: from all pixels that observe it, with equal weights, as GSFusion. Usual: 1 to 2."""
+    colour_weights: Literal["falling", "equal"] = "falling"
+    """How much a pixel within this band counts: "falling", from 1 at the surface to 0 at the border of the band, or
+    "equal", all the same, as GPS-SLAM's released code."""
     colour_by_distance: bool = setting(True, before=False)
     """A colour seen from the distance z counts 1 / z^2, as many times as its pixels are finer. Off: all distances count
     the same."""
@@ -340,6 +342,10 @@ class SystemConfig(Settings):
     memory and time. 3: colour may change with the viewing direction (gloss, reflections)."""
     keyframes_on: Literal["device", "cpu"] = "device"
     """Where the images of the keyframes are kept: "device" (with the map) or "cpu", which saves memory of the GPU."""
+    all_in_view: bool = False
+    """Off: in a map of more than 10,000 Gaussians, gradient steps leave out those that are more than 0.5 m behind the
+    measured depth of their view, so that a room does not cost what is in the rooms behind its walls. On: a step changes
+    whatever may be in its view, as published; slower in a building."""
     seed: int = 0
     """Seed of all random numbers. The same seed on the same machine gives the same map."""
 

@@ -103,6 +103,7 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Before the global optimisation": ONLINE,
     "Maps": {
         "n_gaussians": _count("Gaussians"),
+        "n_not_finite": _count("Gaussians lost", "They became NaN or infinite in a gradient step and were removed."),
         "model_size_mb": Metric("Model size", "MB", 1, 1.0, "Size of gaussians.ply; 1 MB is a million bytes."),
         "n_stable_opaque": _count("Stable opaque"),
         "n_stable_transparent": _count("Stable transparent"),

@@ -4,6 +4,7 @@ from .edit import SPLIT_SHRINKS as SPLIT_SHRINKS
 from .edit import Edit as Edit
 from .edit import shared as shared
 from .model import GaussianModel as GaussianModel
+from .step_clock import StepClock as StepClock
 from .surfels import OPAQUE as OPAQUE
 from .surfels import STABLE as STABLE
 from .surfels import TRANSPARENT as TRANSPARENT

@@ -1,6 +1,7 @@
 """The Gaussian map: rows of parameters and the rows of their optimiser, which are added and removed together."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -15,6 +16,7 @@ from ..types import GaussianParams, Seeds
 from ..work import MAP_MEMORY
 from .edit import Edit, apply_edit
 from .rows import GrowingRows, turn_colours_, turn_moments_
+from .step_clock import StepClock, StepCount
 
 PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))
 
@@ -41,8 +43,7 @@ class GaussianModel(GrowingRows):
             raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {sh_degree}")
         self.sh_degree = sh_degree
         self.device = torch.device(device)
-        self.step_count = 0
-        """Optimiser steps so far, shared by all rows."""
+        self._steps = StepCount()
         super().__init__(self._column_names())
         self._views: dict[str, tuple[Tensor, GaussianParams]] = {}
         """Prefix -> buffer of the last column when they were made, and views of the rows in use."""
@@ -74,8 +75,22 @@ class GaussianModel(GrowingRows):
         return self._columns["birth_frame"][: self._count]
 
     @property
+    def clock(self) -> StepClock:
+        """When each row began, and the last step in which it took part: views, which the optimiser changes."""
+        return StepClock(self._steps, self.birth_step, self.last_step)
+
+    @property
+    def step_count(self) -> int:
+        """Optimiser steps so far, shared by all rows. When it is set, no row misses steps."""
+        return self._steps.value
+
+    @step_count.setter
+    def step_count(self, count: int) -> None:
+        self.clock.advance(count)
+
+    @property
     def birth_step(self) -> Int[Tensor, " N"]:
-        """Value of ``step_count`` when each row was added."""
+        """Value of ``step_count`` when each row was added, or its moments were forgotten."""
         return self._columns["birth_step"][: self._count]
 
     @property
@@ -200,13 +215,28 @@ class GaussianModel(GrowingRows):
 
     def as_new(self, rows: Int[Tensor, " M"] | slice) -> None:
         """Count these rows as added now."""
-        self.birth_step[rows] = self.last_step[rows] = self.step_count
+        self.clock.begin(rows)
 
     def clear_moments(self, rows: Int[Tensor, " M"] | slice, parameter: str | None = None) -> None:
         """Set Adam's moments of these rows to zero, of all parameters or of one."""
         for name in self._moment_names():
             if parameter is None or name.endswith(f".{parameter}"):
                 self._columns[name][: self._count][rows] = 0.0
+
+    def restart_optimiser(self) -> None:
+        """Forget all moments; the steps of every row are counted from here."""
+        self.clear_moments(slice(None))
+        self.clock.begin(slice(None))
+
+    def log_changes(self) -> Callable[[], None]:
+        """Also the number of steps is brought back."""
+        undo_rows, count = super().log_changes(), self.step_count
+
+        def undo() -> None:
+            undo_rows()
+            self._steps.value = count
+
+        return undo
 
     def move(self, T: Float[Tensor, "N 4 4"]) -> None:
         """Apply a rigid motion to each row (a loop closure): centre, orientation, colour, and Adam's moments."""
@@ -237,7 +267,7 @@ class GaussianModel(GrowingRows):
     def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> "GaussianModel":
         """The model that was saved with ``state_dict``."""
         model = cls(state["sh_degree"], device)
-        model.step_count = state["step_count"]
+        model._steps.value = state["step_count"]
         count = state["rows"]["xyz_W"].shape[0]
         model._reserve(count)
         for name in state["rows"]:
@@ -246,6 +276,7 @@ class GaussianModel(GrowingRows):
         for name, column in model._columns.items():
             column[:count] = state["rows"][name]
         model._in_use(count)
+        model.clock.repair()
         return model
 
     def _rows(self, prefix: str) -> GaussianParams:

@@ -250,7 +250,7 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     gone[expired] = True
     if config.on_error == "release":
         model.state[wrong] = UNSTABLE
-        model.birth_step[wrong] = model.step_count
+        model.clock.begin(wrong)
         for counter in (model.confidence, model.frames_in_view, model.colour_errors, model.depth_errors):
             counter[wrong] = 0
     else:

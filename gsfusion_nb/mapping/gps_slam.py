@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelities, gps_slam_fidelity
+from ..config import GpsSlamConfig, OptimConfig, gps_slam, gps_slam_fidelities, gps_slam_fidelity
 from ..export.tsdf_file import as_stored, write_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import se3
@@ -130,7 +130,12 @@ class GPSSLAM(TsdfMapping):
 
     @property
     def _over_surface(self) -> OverSurface:
-        return OverSurface(volume=self.volume, params=self.gaussians.params, config=self.config.base)
+        return OverSurface(volume=self.volume, params=self.params_now(), config=self.config.base)
+
+    @property
+    def row_optim(self) -> OptimConfig:
+        """Learning rates of the Gaussians."""
+        return self.config.residual.adam
 
     def write_besides(self, folder: Path) -> None:
         """Write the TSDF."""
@@ -138,7 +143,7 @@ class GPSSLAM(TsdfMapping):
 
     def drawn_as_stored(self) -> Draw:
         """The map with its TSDF rounded as in the file."""
-        return OverSurface(volume=as_stored(self.volume), params=self.gaussians.params, config=self.config.base).render
+        return OverSurface(volume=as_stored(self.volume), params=self.params_now(), config=self.config.base).render
 
     @classmethod
     def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:
@@ -159,7 +164,7 @@ class GPSSLAM(TsdfMapping):
         n = len(self.gaussians)
         if self.n_frames > made + made // 10:
             made, discs = self.n_frames, None
-        rows = plain_gaussians(self.volume, self.gaussians.params, discs)
+        rows = plain_gaussians(self.volume, self.params_now(), discs)
         self._discs = made, rows[n:]
         return rows
 
@@ -223,7 +228,9 @@ class GPSSLAM(TsdfMapping):
         views.recall(self.keyframes, self._look, self.random.keyframes, n, n_new)
 
     def _prune(self) -> None:
-        """Remove Gaussians that have become too small, too large or transparent; a NaN counts as such."""
+        """Remove Gaussians that have become too small, too large or transparent."""
+        self.take_missed_steps()
+        self.remove_lost()
         limits, params = self.config.residual, self.gaussians.params
         radius_m = params.log_scale.amax(dim=1).exp()
         kept = (radius_m >= limits.min_radius_m) & (radius_m <= limits.max_radius_m)
@@ -233,12 +240,10 @@ class GPSSLAM(TsdfMapping):
             self.gaussians.keep(kept)
 
     def _restart_adam(self) -> None:
-        """Forget all moments and the number of steps."""
+        """Forget all moments and the number of steps, after rows have taken the steps that they missed."""
+        self.take_missed_steps()
         self.gaussians.will_change()
-        for moments in (self.gaussians.exp_avg, self.gaussians.exp_avg_sq):
-            for column in vars(moments).values():
-                column.zero_()
-        self.gaussians.birth_step.fill_(self.gaussians.step_count)
+        self.gaussians.restart_optimiser()
 
     def _optimise(self, context: SeedContext) -> list[list[float]]:
         """The steps of this frame, each on one of the views. Returns loss and mean squared error before each."""
@@ -279,6 +284,7 @@ class GPSSLAM(TsdfMapping):
             loss, v_rgb = given.value, given.v_rgb
         gradients = render_over_base_vjp(saved, v_rgb, **watched.outputs)
         adam_step(part, gradients, self.config.residual.adam, self.training.optimiser)
+        self.lost.stepped(part.params)
         if not later or self.after_steps.is_used:
             part.write_back()
         self.after_steps.finish(self, watched, keyframe, loss, output.rgb, part.rows)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..backends import observed, piece
-from ..config import GSFusionConfig, gsfusion, gsfusion_fidelities, gsfusion_fidelity
+from ..config import GSFusionConfig, OptimConfig, gsfusion, gsfusion_fidelities, gsfusion_fidelity
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, ViewLoss, adam_step, add_penalties_, depth_l1, depth_l1_vjp, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
@@ -90,6 +90,11 @@ class GSFusion(TsdfMapping):
         return True if overdue and not self._seen_before(frame) else None
 
     @property
+    def row_optim(self) -> OptimConfig:
+        """Learning rates of the Gaussians."""
+        return self.config.optim
+
+    @property
     def n_passes(self) -> int:
         """Number of passes of the global optimisation in the settings."""
         return self.config.optim.global_iterations
@@ -155,6 +160,7 @@ class GSFusion(TsdfMapping):
         if penalties:
             loss = loss + add_penalties_(gradients, part.params, **penalties)
         adam_step(part, gradients, optim, self.training.optimiser)
+        self.lost.stepped(part.params)
         part.write_back()
         if fit is not None:
             fit.move(self.keyframes, keyframe, shown)

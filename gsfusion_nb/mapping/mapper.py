@@ -20,7 +20,7 @@ from ..backends import runs_learners_code
 from ..checks import shown
 from ..config import OptimConfig, SystemConfig, from_run, to_dict
 from ..gaussians import GaussianModel
-from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose, take_missed_steps
+from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose, params_now, take_missed_steps
 from ..render import Boxes, drawn_in_part, render
 from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, move_memory, rule_name
 from ..seeding.rule_code import find_rule
@@ -28,6 +28,7 @@ from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from ..work import MAP_MEMORY
 from .localiser import Localiser, move_map
+from .lost_rows import LostRows
 from .rule import AfterSteps, RuleInUse, check_known, settings_of_run, settings_with_rule
 from .step import FrameGuard, GlobalStep, StageClock, StepReport, check_frame, psnr_from_mse
 from .training import KeyframePasses, LossFunction, RandomStreams, Training, given_functions
@@ -39,6 +40,10 @@ FAR_DEPTH_M = 30.0
 """A frame whose median depth is beyond this is doubtful: depth cameras measure up to 10 m."""
 
 M = TypeVar("M", bound="Mapper")
+
+
+def _depth_of(view: Frame | Keyframe) -> Tensor | None:
+    return view.farthest_m if isinstance(view, Keyframe) else view.depth_m
 
 
 class Mapper(ABC):
@@ -125,6 +130,8 @@ class Mapper(ABC):
         """Views of the last steps of this frame, and the rows that they changed."""
         self._steps_missed = False
         """Whether rows may have missed steps."""
+        self.lost = LostRows()
+        """How many Gaussians a step made NaN or infinite."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
         self.random = RandomStreams(self.config.seed)
         self.localiser = Localiser(self.config.tracking)
@@ -163,6 +170,7 @@ class Mapper(ABC):
         """
         with self._whole_frame(frame):
             self.clock = StageClock()
+            self.lost.begin_frame()
             frame = check_frame(frame, self.device, needs_depth=self.needs_depth)
             with self.clock("tracking"):
                 frame = self.localiser.locate(frame, self.tracking_surface)
@@ -237,8 +245,53 @@ class Mapper(ABC):
         T_WC = T_WC.to(self.device)
         return drawn_in_part(
             lambda params: self.render_gaussians(params, camera, T_WC, self.config),
-            self.gaussians.params, self.boxes, camera, T_WC,
-        )  # fmt: skip
+            self.gaussians.params,
+            self.boxes,
+            camera,
+            T_WC,
+            take=self.params_now,
+        )
+
+    @property
+    def row_optim(self) -> OptimConfig | None:
+        """Settings of the Adam whose steps rows of the map may miss; None if there is none."""
+        return None
+
+    def params_now(self, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
+        """The Gaussians with the steps that they missed while no view showed them; the map does not change.
+
+        What is written, scored, drawn or given to a rule is made from these.
+
+        Args:
+            rows: Some rows of the map, each once; None: all. [R]
+
+        Returns:
+            A copy, or the map's own tensors if all are asked for and none misses a step.
+        """
+        optim = self.row_optim
+        if optim is None or self.training.optimiser is not None or not self._steps_missed:
+            return self.gaussians.params if rows is None else self.gaussians.params[rows]
+        return params_now(self.gaussians, optim, rows)
+
+    def take_missed_steps(self) -> None:
+        """Bring all rows of the map up to date, in place.
+
+        That changes when a row is rounded, so it is done where the run says, not where somebody looks at the map.
+        """
+        optim = self.row_optim
+        if optim is None or self.training.optimiser is not None or not self._steps_missed:
+            return
+        self.gaussians.will_change()
+        take_missed_steps(self.gaussians, optim)
+        self._steps_missed = False
+
+    def remove_lost(self) -> None:
+        """Remove the Gaussians that the last steps made NaN or infinite, and count them."""
+        finite = self.lost.count(self.gaussians.params)
+        if finite is not None:
+            self.gaussians.will_change()
+            self.gaussians.keep(finite)
+            self.rows_changed(finite.nonzero()[:, 0])
 
     def part_in_view(
         self, view: Frame | Keyframe, optim: OptimConfig, later: Sequence[Keyframe] = ()
@@ -252,7 +305,7 @@ class Mapper(ABC):
         if last is not None and last.is_current and {id(v) for v in views} <= {id(v) for v in last_views}:
             self.gaussians.will_change(last.rows)
             return last
-        depths = (v.farthest_m if isinstance(v, Keyframe) else v.depth_m for v in views)
+        depths = [None if self.config.all_in_view else _depth_of(v) for v in views]
         seen = (self.boxes.rows(self.gaussians.params, v.camera, v.T_WC, d) for v, d in zip(views, depths, strict=True))
         found = [x for x in seen if x is not None]
         rows = None if len(found) < len(views) else torch.cat(found).unique() if later else found[0]
@@ -275,13 +328,19 @@ class Mapper(ABC):
         """
         passes = self.n_passes if passes is None else passes
         if not self.passes.begun:
+            self.lost.begin_frame()
+            self.take_missed_steps()
             self._follow(self.localiser.finish())
         yield from self.passes.run(passes, len(self.keyframes), self.random.passes, self._watched_global_step)
+        self.take_missed_steps()
 
     def _watched_global_step(self, i: int) -> Float[Tensor, ""]:
         self._last_part = (), None
         with self.watch(None):
-            return self._global_step(i)
+            loss = self._global_step(i)
+            if not self.passes.queue:
+                self.remove_lost()
+            return loss
 
     @contextlib.contextmanager
     def _whole_frame(self, frame: Frame) -> Iterator[None]:
@@ -320,6 +379,7 @@ class Mapper(ABC):
         if foreign:
             self.gaussians.will_change()
         yield
+        self.remove_lost()
         self._changes_stay()
 
     def _changes_stay(self) -> None:
@@ -328,13 +388,15 @@ class Mapper(ABC):
 
     def _undo(self) -> Callable[[], None]:
         """A function that undoes what a frame changes in the map, from now on; a subclass extends it."""
-        undo_rows, steps, taken = self.gaussians.log_changes(), self.gaussians.step_count, self.after_steps.taken
-        n_keyframes = len(self.keyframes)
+        undo_rows, taken = self.gaussians.log_changes(), self.after_steps.taken
+        n_keyframes, n_lost, steps_missed = len(self.keyframes), self.lost.total, self._steps_missed
 
         def undo() -> None:
             undo_rows()
             self.gaussians.end_log()
-            self.gaussians.step_count, self.after_steps.taken = steps, taken
+            self.after_steps.taken = taken
+            self.lost.total = n_lost
+            self._steps_missed = steps_missed
             self.keyframes.cut(n_keyframes)
 
         return undo
@@ -361,6 +423,8 @@ class Mapper(ABC):
             frame,
             gaussians=self.gaussians,
             boxes=self.boxes,
+            params_now=self.params_now,
+            all_in_view=self.config.all_in_view,
             generator=self.random.rule,
             config=self.config.seeding,
             memory=self.memory,
@@ -402,7 +466,7 @@ class Mapper(ABC):
 
     def maps(self) -> dict[str, dict[str, Tensor]]:
         """The tensors of each map, by name; two runs have the same maps if these are equal (``order_of_rows``)."""
-        return {"gaussians": vars(self.gaussians.params)}
+        return {"gaussians": vars(self.params_now())}
 
     def order_of_rows(self, name: str) -> Tensor | None:
         """Order in which the rows of a map of ``maps`` are compared; None: as they are."""
@@ -429,6 +493,7 @@ class Mapper(ABC):
             "training": self.training.state_dict(),
             "n_frames": self.n_frames,
             "steps_taken": self.after_steps.taken,
+            "n_not_finite": self.lost.total,
             "passes": self.passes.state_dict(),
             "localiser": self.localiser.state_dict(),
             "random": self.random.state_dict(),
@@ -474,6 +539,7 @@ class Mapper(ABC):
         """Restore what ``state_dict`` saved; a subclass extends both."""
         self.localiser.load_state_dict(state["localiser"])
         self.n_frames, self.after_steps.taken = state["n_frames"], state["steps_taken"]
+        self.lost.total = state.get("n_not_finite", 0)
         self.random.load_state_dict(state["random"])
         self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
         self._steps_missed = bool((self.gaussians.last_step < self.gaussians.step_count).any())
@@ -509,7 +575,7 @@ class Mapper(ABC):
 
     def standard_gaussians(self) -> GaussianParams:
         """Gaussians whose sorted picture, as any viewer of splats draws it, is about that of the map."""
-        return self.gaussians.params
+        return self.params_now()
 
     @classmethod
     def standard_from(
@@ -527,6 +593,8 @@ class Mapper(ABC):
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
         """Warnings for the user about the step that gave ``report``, as sentences."""
         warnings, depth_m = [], frame.depth_m[::8, ::8]
+        if report.n_not_finite and report.n_not_finite == self.lost.total:  # the first; all are counted
+            warnings.append(self.lost.in_words(f"frame {frame.index}"))
         if report.tracking.get("status") == "recovered":
             warnings.append(f"frame {frame.index}: tracking was lost and has recovered")
         if self.localiser.jump:
@@ -549,6 +617,7 @@ class Mapper(ABC):
             "n_steps": len(steps),
             "psnr_before_db": psnrs_db[0],
             "psnr_after_db": psnrs_db[-1],
+            "n_not_finite": self.lost.in_frame,
         }
         return StepReport(
             frame_index=frame.index,

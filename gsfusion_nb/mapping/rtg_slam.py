@@ -98,9 +98,10 @@ class RTGSLAM(Mapper):
             with self.clock("keyframes"):
                 n_steps = self._optimise_keyframes() if keyframes_are_due else 0
             self.guard.may_stop()
+            self.remove_lost()
             with self.clock("states"):
                 after, transitions = self._manage_states(frame)
-            self.gaussians.step_count = self.n_frames + 1
+            self.gaussians.clock.advance(self.n_frames + 1)
         return self._report(
             frame,
             seeds,
@@ -146,7 +147,8 @@ class RTGSLAM(Mapper):
         seen = self._seen(self.window)
         if not (trained & seen).any():
             return []
-        optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen, training=self.training)
+        given = {"all_in_view": self.config.all_in_view, "training": self.training}
+        optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen, **given)
         before = GaussianParams(**{name: value.clone() for name, value in vars(optimiser.trained).items()})
         masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
         touched = [optimiser.touched(f.camera, f.T_WC) if masked else None for f in self.window]
@@ -184,6 +186,7 @@ class RTGSLAM(Mapper):
             seen=seen,
             lr_factor=KEYFRAMES_LR_FACTOR,
             move_centres=False,
+            all_in_view=self.config.all_in_view,
             training=self.training,
         )
         views = [TrainingView.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
@@ -207,6 +210,7 @@ class RTGSLAM(Mapper):
             losses.append(loss)
             last = i, loss, watched
         optimiser.adam.catch_up(torch.arange(optimiser.n, device=self.device))
+        self.lost.stepped(optimiser.trained)
         return losses, last
 
     def _step_on(self, view: TrainingView, optimiser: SurfelOptimiser) -> tuple[Float[Tensor, ""], WatchedStep]:
@@ -226,7 +230,8 @@ class RTGSLAM(Mapper):
         """Rows that any of the views may show."""
         params, seen = self.gaussians.params, torch.zeros_like(self.gaussians.is_stable)
         for view in views:
-            part = self.boxes.rows(params, view.camera, view.T_WC, view.depth_m)
+            depth_m = None if self.config.all_in_view else view.depth_m
+            part = self.boxes.rows(params, view.camera, view.T_WC, depth_m)
             rows = slice(None) if part is None else part
             seen[rows] |= rows_in_view(params[rows], view.camera, view.T_WC)
         return seen
@@ -245,8 +250,20 @@ class RTGSLAM(Mapper):
         keyframe = self.keyframes[i].to(self.device)
         loss, watched = self._step_on(TrainingView.of(keyframe), self._final)
         self._final.write_back()
+        self.lost.stepped(self._final.trained)
         self._edit(self._final, [keyframe], (0, loss, watched))
         return loss
+
+    def params_now(self, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
+        """In the passes after the scan, the discs with the steps that they missed; else those of the map."""
+        params = self.gaussians.params if self._final is None else self._final.adam.params_now()
+        return params if rows is None else params[rows]
+
+    def take_missed_steps(self) -> None:
+        """In the passes after the scan: bring all discs up to date."""
+        if self._final is not None:
+            self._final.adam.catch_up(torch.arange(self._final.n, device=self.device))
+            self._final.write_back()
 
     def rows_changed(self, before: Int[Tensor, " N"]) -> None:
         """In the passes after the scan all rows stay stable, and Adam goes on with the rows that are left."""
@@ -264,6 +281,7 @@ class RTGSLAM(Mapper):
             self.config.discs,
             lr_factor=config.lr_factor,
             move_centres=False,
+            all_in_view=self.config.all_in_view,
             training=self.training,
             weight_depth=config.weight_depth,
         )
@@ -301,13 +319,19 @@ class RTGSLAM(Mapper):
     ) -> SurfaceView:
         """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5).
 
-        With ``depth_m``, the measured depth, a large map is not drawn far behind it.
+        With ``depth_m``, the measured depth, a large map is not drawn far behind it, unless ``config.all_in_view``.
         """
+        depth_m = None if self.config.all_in_view else depth_m
         T_WC = T_WC.to(self.device)
         return drawn_in_part(
             lambda params: view_surface(params, camera, T_WC, self.config.discs),
-            self.gaussians.params, self.boxes, camera, T_WC, depth_m,
-        )  # fmt: skip
+            self.gaussians.params,
+            self.boxes,
+            camera,
+            T_WC,
+            depth_m,
+            take=self.params_now,
+        )
 
     @classmethod
     def render_gaussians(

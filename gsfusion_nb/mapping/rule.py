@@ -323,6 +323,7 @@ class AfterSteps:
         """
         if not self.edits:
             return
+        mapper.take_missed_steps()  # an edit reads, copies and removes any row
         if self._context is not None:
             self._edit(mapper, dataclasses.replace(self._context), self._stats(step, view, loss, rgb))
             return

@@ -39,6 +39,8 @@ class StepReport:
     extra rendering (GSFusion: just before the last optimisation step; RTG-SLAM renders at the end of the step)."""
     n_steps: int = 0
     """Number of gradient steps in this frame, on any view."""
+    n_not_finite: int = 0
+    """Number of Gaussians that became NaN or infinite in these steps, and were removed."""
     n_blocks: int = 0
     """Number of voxel blocks in the TSDF map after the step, if there is one."""
     counts: dict[str, int] = field(default_factory=dict)

@@ -46,6 +46,7 @@ class SurfelOptimiser:
         lr_factor: Multiplies all learning rates.
         move_centres: False: the centres do not move.
         weight_depth: Weight of the depth loss (w_d of Eq. 8).
+        all_in_view: A step on a large map also reaches rows far behind the measured depth of its view.
         training: Loss and optimiser, if they are given from outside.
     """
 
@@ -61,10 +62,12 @@ class SurfelOptimiser:
         lr_factor: float = 1.0,
         move_centres: bool = True,
         weight_depth: float = WEIGHT_DEPTH,
+        all_in_view: bool = False,
         training: Training | None = None,
     ):
         self.training = training or Training()
         self.config, self.discs, self.weight_depth = window, discs, weight_depth
+        self._all_in_view = all_in_view
         self._model = model
         others = ~trained if drawn is None else drawn & ~trained
         self._n_anchored = int((trained & model.is_transparent).sum())
@@ -115,7 +118,8 @@ class SurfelOptimiser:
         """
         discs, params, is_trained = self.discs, self.params, self._is_trained
         whole = any(wanted is not None for wanted in outputs.values())
-        part = None if whole else self._boxes.rows(params, view.camera, view.T_WC, view.depth_m)
+        depth_m = None if self._all_in_view else view.depth_m
+        part = None if whole else self._boxes.rows(params, view.camera, view.T_WC, depth_m)
         if part is not None:
             self.adam.catch_up(part[part < self.n])
             params, is_trained = params[part], is_trained[part]

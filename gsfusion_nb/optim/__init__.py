@@ -7,6 +7,7 @@ from .adam import UpdateFunction as UpdateFunction
 from .adam import adam_step as adam_step
 from .adam import adam_update as adam_update
 from .adam import adam_update_map as adam_update_map
+from .adam import params_now as params_now
 from .adam import take_missed_steps as take_missed_steps
 from .fit_view import PoseFit as PoseFit
 from .fit_view import PoseSystem as PoseSystem

@@ -13,7 +13,7 @@ from torch import Tensor
 from ..backends import observed, op
 from ..checks import check_number
 from ..config import OptimConfig
-from ..gaussians import GaussianModel
+from ..gaussians import GaussianModel, StepClock
 from ..geometry.operands import INTEGERS, check_gaussians, check_operand
 from ..render import Boxes
 from ..types import GaussianParams
@@ -21,6 +21,9 @@ from ..types import GaussianParams
 _NOTHING_LEFT = 8e-10
 """With zero gradient a row has stopped when its step is this share of the first: after 200 steps at the usual decays,
 since (0.9 / sqrt(0.999))^200 is 8e-10."""
+
+_ROWS_AT_A_TIME = 1 << 16
+"""Of a map whose missed steps are taken in a copy, which limits the memory."""
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
 """Of ``RowAdam``: the values of the released code of RTG-SLAM, which are those of 3D Gaussian splatting."""
@@ -197,10 +200,19 @@ class PartOfMap:
     def __init__(self, model: GaussianModel, rows: Int[Tensor, " R"], boxes: Boxes):
         self.model, self.rows, self._boxes = model, rows, boxes
         self.params, self.exp_avg, self.exp_avg_sq = (x[rows] for x in (model.params, model.exp_avg, model.exp_avg_sq))
-        self.birth_step, self.last_step = model.birth_step[rows], model.last_step[rows]
-        self.step_count = model.step_count
+        self.clock = model.clock.part(rows)
         self.rates = {name: factors[rows] for name, factors in model.rates.items()}
         self._state = model.state_of_columns()
+
+    @property
+    def step_count(self) -> int:
+        """Steps of the map, with those on the part."""
+        return self.clock.count
+
+    @property
+    def birth_step(self) -> Int[Tensor, " R"]:
+        """Value of ``step_count`` when each row was added, or its moments were forgotten."""
+        return self.clock.birth
 
     @property
     def is_current(self) -> bool:
@@ -212,8 +224,7 @@ class PartOfMap:
         for name in ("params", "exp_avg", "exp_avg_sq"):
             for column, values in vars(getattr(self, name)).items():
                 getattr(getattr(self.model, name), column).index_copy_(0, self.rows, values)
-        self.model.last_step.index_copy_(0, self.rows, self.last_step)
-        self.model.step_count = self.step_count
+        self.model.clock.write_back(self.rows, self.clock)
         self._boxes.renew(self.model.params, self.rows, self.params)
         self._state = self.model.state_of_columns()
 
@@ -261,8 +272,7 @@ def adam_step(
             for name, lr in rates.by_column(model.params.sh).items():
                 p, g, m_, v_ = (getattr(rows, name) for rows in (model.params, gradients, m, v))
                 take_step(update, name, p, g, m_, v_, ages, lr)
-    model.step_count = t
-    model.last_step.fill_(t)
+    model.clock.step()
 
 
 def _rates_of(config: OptimConfig) -> ColumnRates:
@@ -290,16 +300,42 @@ def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig) -> 
         model: The map, or a part of it, changed in place.
         config: Learning rates and decays.
     """
-    last = model.last_step
-    missed = model.step_count - last
+    clock = model.clock
+    missed = clock.missed
     if not bool(missed.any()):
         return
-    start = {"none": None, "shared": last, "per_row": last - model.birth_step}[config.adam_steps]
+    start = {"none": None, "shared": clock.last, "per_row": clock.age_at_last}[config.adam_steps]
     steps = MissedSteps(missed, start, config.beta1, config.beta2, config.eps)
     for name, lr in _rates_of(config).by_column(model.params.sh).items():
         column, m, v = (getattr(values, name) for values in (model.params, model.exp_avg, model.exp_avg_sq))
         steps.take(column, m, v, lr, model.rates.get(name))
-    last.fill_(model.step_count)
+    clock.catch_up()
+
+
+def params_now(model: GaussianModel, config: OptimConfig, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
+    """Parameters of a map as they are with the steps that rows missed; the map does not change.
+
+    Args:
+        model: The map.
+        config: Learning rates and decays of its steps.
+        rows: Some of its rows, each once; None: all. [R]
+
+    Returns:
+        A copy, or the map's own tensors if all rows are asked for and none misses a step.
+    """
+    params = model.params if rows is None else model.params[rows]
+    missed = model.clock.missed if rows is None else model.clock.missed[rows]
+    late = missed.nonzero()[:, 0]
+    if not len(late):
+        return params
+    if rows is None:
+        params = GaussianParams(**{name: column.clone() for name, column in vars(params).items()})
+    for places in late.split(_ROWS_AT_A_TIME):
+        part = PartOfMap(model, places if rows is None else rows[places], Boxes())
+        take_missed_steps(part, config)
+        for name, values in vars(part.params).items():
+            getattr(params, name)[places] = values
+    return params
 
 
 class MissedSteps:
@@ -391,29 +427,49 @@ class RowAdam:
     ):
         self.params, self._update = params, update
         self._factors = factors
-        self.steps = 0
         sh_rates = params.sh.new_full((params.sh.shape[1], 1), rates["sh_rest"])
         sh_rates[0] = rates["sh_dc"]
         self._rates: dict[str, Any] = {
             name: rates[name] for name in ("xyz_W", "log_scale", "quat") if rates[name] > 0
         } | {"sh": sh_rates.expand(-1, 3)}
         self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
-        self._last = torch.zeros(len(params), dtype=torch.int32, device=params.xyz_W.device)
+        self.clock = StepClock.of_new_rows(len(params), params.xyz_W.device)
+
+    @property
+    def steps(self) -> int:
+        """Steps so far."""
+        return self.clock.count
 
     def catch_up(self, rows: Int[Tensor, " R"]) -> None:
         """Take the steps that these rows missed, each with zero gradient, as ``take_missed_steps`` does."""
-        rows = rows[self._last[rows] < self.steps]
-        if self._update is not None or not len(rows):
-            return
-        last = self._last[rows]
+        late, caught_up = self._caught_up(rows)
+        for name, columns in caught_up.items():
+            for column, values in zip((getattr(self.params, name), *self._moments[name]), columns, strict=True):
+                column[late] = values
+        self.clock.catch_up(late)
+
+    def params_now(self) -> GaussianParams:
+        """A copy of the parameters as they are with the steps that rows missed."""
+        params = GaussianParams(**{name: column.clone() for name, column in vars(self.params).items()})
+        late, caught_up = self._caught_up(torch.arange(len(params), device=params.xyz_W.device))
+        for name, columns in caught_up.items():
+            getattr(params, name)[late] = columns[0]
+        return params
+
+    def _caught_up(self, rows: Int[Tensor, " R"]) -> tuple[Int[Tensor, " L"], dict[str, list[Tensor]]]:
+        """Which of the rows missed steps of Adam, and copies of their parameters and moments after these steps."""
+        late = rows[self.clock.missed[rows] > 0]
+        if self._update is not None or not len(late):
+            return late[:0], {}
+        last = self.clock.last[late]
         steps = MissedSteps(self.steps - last, last, BETA1, BETA2, EPS)
+        caught_up = {}
         for name, lr in self._rates.items():
-            columns, factor = (getattr(self.params, name), *self._moments[name]), self._factors.get(name)
-            param, m, v = (column[rows] for column in columns)
-            steps.take(param, m, v, lr, None if factor is None else factor[rows])
-            for column, values in zip(columns, (param, m, v), strict=True):
-                column[rows] = values
-        self._last[rows] = self.steps
+            factor = self._factors.get(name)
+            param, m, v = (column[late] for column in (getattr(self.params, name), *self._moments[name]))
+            steps.take(param, m, v, lr, None if factor is None else factor[late])
+            caught_up[name] = [param, m, v]
+        return late, caught_up
 
     def step(self, gradients: GaussianParams, rows: Int[Tensor, " R"] | None = None) -> None:
         """Update once.
@@ -422,8 +478,7 @@ class RowAdam:
             gradients: Of ``params``, or of their ``rows``; further rows of it are ignored.
             rows: Update only these, each once; the others keep their values and moments (``catch_up``). None: all. [R]
         """
-        self.steps += 1
-        self._last[slice(None) if rows is None else rows] = self.steps
+        self.clock.step(slice(None) if rows is None else rows)
         params = self.params if rows is None else self.params[rows]
         factors = self._factors if rows is None else {name: f[rows] for name, f in self._factors.items()}
         n = len(params)
@@ -446,8 +501,9 @@ class RowAdam:
 
     def take_over(self, earlier: "RowAdam", before: Int[Tensor, " N"]) -> None:
         """Continue with the moments and the step count of other rows; ``before`` is the row there of each, or -1."""
-        self.steps, known = earlier.steps, before >= 0
-        self._last[known] = earlier._last[before[known]]
+        known = before >= 0
+        self.clock.advance(earlier.steps)
+        self.clock.last[known] = earlier.clock.last[before[known]]
         for name, moments in self._moments.items():
             for mine, theirs in zip(moments, earlier._moments[name], strict=True):
                 mine[known] = theirs[before[known]]
@@ -455,12 +511,12 @@ class RowAdam:
     def state_dict(self) -> dict[str, Any]:
         """Moments, and the number of steps, also of each row."""
         moments = {name: [moment.clone() for moment in pair] for name, pair in self._moments.items()}
-        return {"steps": self.steps, "last": self._last.clone(), "moments": moments}
+        return {"steps": self.steps, "last": self.clock.last.clone(), "moments": moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` saved, for parameters of the same shape."""
-        self.steps = state["steps"]
-        self._last.copy_(state["last"])
+        self.clock.advance(state["steps"])
+        self.clock.last.copy_(state["last"])
         for name, moments in state["moments"].items():
             for mine, saved in zip(self._moments[name], moments, strict=True):
                 mine.copy_(saved)

@@ -232,6 +232,7 @@ def drawn_in_part(
     camera: Camera,
     T_WC: Float[Tensor, "4 4"],
     depth_m: Float[Tensor, "h w"] | None = None,
+    take: Callable[[Int[Tensor, " R"] | None], GaussianParams] | None = None,
 ) -> View:
     """The result of ``draw``, for which only the part of the map is drawn that the camera may see.
 
@@ -241,11 +242,12 @@ def drawn_in_part(
         boxes: Of the map; None draws all of it.
         camera, T_WC: as given to ``render``.
         depth_m: Measured depth, of any size: what is hidden behind it is left out, also where the map has a hole.
+        take: Gives the values of some rows [R], or of all (None); those in ``params`` by default.
     """
     rows = None if boxes is None else boxes.rows(params, camera, T_WC, depth_m)
     if rows is None:
-        return draw(params)
-    view: Any = draw(params[rows])
+        return draw(params if take is None else take(None))
+    view: Any = draw(params[rows] if take is None else take(rows))
     indices = {name: x for name, x in vars(view).items() if name.endswith("_index") and x is not None}
     of_map = torch.cat([rows, rows.new_tensor([-1])])  # -1 is the last one
     return dataclasses.replace(view, **{name: of_map[x.long()].to(x.dtype) for name, x in indices.items()})

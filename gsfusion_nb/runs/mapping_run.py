@@ -216,12 +216,17 @@ class MappingRun:
     def optimise(self) -> Iterator[GlobalStep]:
         """Run the remaining passes of the global optimisation, continuing an interrupted pass."""
         passes = self.mapper.n_passes - self.mapper.passes.done
+        lost = self.mapper.lost
+        n_lost, said = lost.total, False
         start = time.perf_counter()
         for step in self.mapper.global_optimise(passes):
             self._pass_losses.append(step.loss_value)
             if not self.mapper.passes.queue:
                 self.global_losses.append(float(torch.stack(self._pass_losses).mean()))
                 self._pass_losses = []
+                if lost.total > n_lost and not said:
+                    self._warn(lost.in_words(f"pass {self.mapper.passes.done} over the keyframes"))
+                    said = True
             self.seconds_global += time.perf_counter() - start
             self.after_step()
             yield step

@@ -70,7 +70,7 @@ MESH_VIEWS = 50
 
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of the current map on mapped and held-out views."""
-    mapper, params = run.mapper, run.mapper.gaussians.params
+    mapper, params = run.mapper, run.mapper.params_now()
     draw = mapper.drawn_as_stored()
     wanted = mapper.config.data.align_held_out and not suffix
     align = (lambda frame: mapper.aligned_pose(draw, params, frame)) if wanted else None
@@ -106,7 +106,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     write_rule(run, folder)
     write_json(folder / VIEWS, views_as_json(scored_views(run)))
     _write_trajectory(run, folder)
-    write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params)
+    write_gaussian_ply(folder / "gaussians.ply", run.mapper.params_now())
     run.mapper.write_besides(folder)
     write_mesh_ply(folder / "mesh.ply", mesh)
     return mesh
@@ -201,6 +201,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     seconds = [s.total_seconds for s in run.steps]
     return {
         "n_gaussians": len(run.mapper.gaussians),
+        "n_not_finite": run.mapper.lost.total,
         "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
         "n_keyframes": sum(s.is_keyframe for s in run.steps),
         "n_frames": len(run.steps),
@@ -268,7 +269,7 @@ def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_sample
     scores = mesh_scores(mesh, seen, generator=generator, n_samples=n_samples)
     metrics |= _named("mesh", scores)
     if run.mapper.gaussians_are_discs:
-        discs = run.mapper.gaussians.params
+        discs = run.mapper.params_now()
         scores = disc_scores(discs, seen, generator=generator, n_samples=n_samples)
         metrics |= _named("disc", scores)
     return metrics
@@ -287,7 +288,7 @@ def score_centres(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     if mapper.gaussians_are_discs:
         return {}
     generator = torch.Generator().manual_seed(mapper.config.seed)
-    distance = centres_to_own_mesh(mapper.gaussians.params, mesh, generator=generator)
+    distance = centres_to_own_mesh(mapper.params_now(), mesh, generator=generator)
     names = ("centres_to_own_mesh_m", "centres_to_own_mesh_m2")
     return {names[0]: distance} if isinstance(distance, NotComputed) else dict(zip(names, distance, strict=True))
 

@@ -146,7 +146,7 @@ def apply_rule(
         raise type(error)(f"seeding rule {rule_name(rule)!r} returned invalid seeds: {error}") from None
     if not one_per_voxel:
         return seeds
-    taken = None if ctx.gaussians is None else ctx.voxel_index(ctx.gaussians.params.xyz_W)
+    taken = None if ctx.gaussians is None else ctx.voxel_index(ctx.params().xyz_W)
     return keep_one_per_voxel(seeds, ctx.voxel_index(seeds.xyz_W), taken)
 
 

@@ -117,7 +117,7 @@ class Walk:
         params, n, g = self._gaussians.params, len(self._gaussians) - before, torch.Generator().manual_seed(before)
         for column, size in ((params.log_scale, 0.3), (params.quat, 0.2), (params.opacity_logit, 1.0)):
             column[before:] += size * torch.randn(n, *column.shape[1:], generator=g)
-        self._gaussians.step_count += 5
+        self._gaussians.clock.advance(self._gaussians.step_count + 5)
 
 
 def _scene_frame(width: int, height: int, shift_m: float = 0.0) -> Frame:

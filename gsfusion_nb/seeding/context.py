@@ -73,6 +73,10 @@ class SeedContext:
     with Gaussians over it (GPS-SLAM); else None."""
     boxes: Boxes | None = None
     """Of the map, to draw only the part that the camera may see."""
+    params_now: Callable[[Int[Tensor, " R"] | None], GaussianParams] | None = None
+    """What a mapper gives for ``params``."""
+    all_in_view: bool = False
+    """Whether ``surface`` draws also what is far behind the measured depth (``SystemConfig.all_in_view``)."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
@@ -233,11 +237,25 @@ class SeedContext:
         cast = functools.partial(raycast, volume) if isinstance(volume, TsdfVolume) else volume.raycast
         return self._once("raycast", lambda: cast(self.camera, self.frame.T_WC))
 
+    def params(self, rows: Int[Tensor, " M"] | None = None) -> GaussianParams:
+        """Parameters of the Gaussians that exist before this frame, before activation, to read only.
+
+        Rows of a large map miss gradient steps while no view shows them. These values have the missed steps,
+        ``gaussians.params`` do not.
+
+        Args:
+            rows: Some rows of the map, each once; None: all. [M]
+        """
+        stored = self._need_gaussians("params()")
+        if self.params_now is not None:
+            return self.params_now(rows)
+        return stored if rows is None else stored[rows]
+
     @property
     def map(self) -> MapView:
         """The Gaussians that exist before this frame."""
         self._need_gaussians("map")
-        return self._once("map", lambda: view_map(self.gaussians, self.frame.index))
+        return self._once("map", lambda: view_map(self.gaussians, self.frame.index, self.params()))
 
     def render(self) -> RenderOutput:
         """What the frame's camera sees of the current map; in a mapper that blends Gaussians over the surface, of
@@ -273,12 +291,17 @@ class SeedContext:
             rows: Draw only these Gaussians; indices in the result then refer to ``rows``. By default all, of a large
                 map without those far behind the measured depth.
         """
-        params, depth_m = self._need_gaussians("surface()"), self.frame.depth_m
+        params = self._need_gaussians("surface()")
+        depth_m = None if self.all_in_view else self.frame.depth_m
 
         def draw(shown: GaussianParams) -> SurfaceView:
             return view_surface(shown, self.camera, self.frame.T_WC, self.discs)
 
-        return self._once("surface", lambda: self._drawn(draw, params, depth_m)) if rows is None else draw(params[rows])
+        return (
+            self._once("surface", lambda: self._drawn(draw, params, depth_m))
+            if rows is None
+            else draw(self.params(rows))
+        )
 
     def grey(self) -> Float[Tensor, "H W"]:
         """Brightness of the picture, 0..1: 0.2989 R + 0.587 G + 0.114 B. [H, W]"""
@@ -427,7 +450,8 @@ class SeedContext:
         return self.volume
 
     def _drawn(self, draw: Callable[[GaussianParams], V], params: GaussianParams, depth_m: Tensor | None = None) -> V:
-        return drawn_in_part(draw, params, self.boxes, self.camera, self.frame.T_WC, depth_m)
+        view = self.camera, self.frame.T_WC
+        return drawn_in_part(draw, params, self.boxes, *view, depth_m, take=self.params)
 
     def _need_gaussians(self, what: str) -> GaussianParams:
         if self.gaussians is None:

@@ -195,14 +195,16 @@ class MapView:
         return self.xyz_W.shape[0]
 
 
-def view_map(gaussians: Any, frame_index: int) -> MapView:
+def view_map(gaussians: Any, frame_index: int, params: GaussianParams | None = None) -> MapView:
     """The view of a map for the frame with this index.
 
     Args:
         gaussians: An object whose ``params`` is a GaussianParams; a GaussianModel has the other columns as well.
         frame_index: Index of the current frame, for the ages.
+        params: Parameters of all rows, if others than ``gaussians.params``.
     """
-    params: GaussianParams = gaussians.params
+    params = gaussians.params if params is None else params
+    assert params is not None
     scale_m = params.log_scale.exp()
     birth_frame, birth_step = (getattr(gaussians, name, None) for name in ("birth_frame", "birth_step"))
     return MapView(

@@ -96,8 +96,8 @@ def colour_weight(
     """How much a colour counts in the mean of a voxel; 0: not at all.
 
     The weight is 1 at the surface and falls to 0 at the border of the band, because there the pixel shows another place
-    than the voxel if it is seen at an angle. It falls with the square of the distance, as the number of pixels that see
-    the voxel does. A voxel that has had little colour takes any, if only with the least weight: raycasts interpolate
+    than the voxel if it is seen at an angle; with "equal" weights it is 1 in the whole band. It also falls with the
+    square of the distance, as the number of pixels that see the voxel does. A voxel that has had little colour takes any, if only with the least weight: raycasts interpolate
     between voxels of which some are outside every band.
 
     Args:
@@ -112,7 +112,8 @@ def colour_weight(
     if config.colour_by_distance:
         w = z_m.to(w).clamp(min=NEAREST_COLOUR_M) ** -2
     if config.colour_band_voxels > 0:
-        w = w * (1.0 - sdf_m.to(w).abs() / (config.colour_band_voxels * config.voxel_size_m)).clamp(min=0.0)
+        inside = 1.0 - sdf_m.to(w).abs() / (config.colour_band_voxels * config.voxel_size_m)
+        w = w * (inside.clamp(min=0.0) if config.colour_weights == "falling" else (inside >= 0).to(w))
     return torch.where(W_rgb < LITTLE_COLOUR, w.clamp(min=LEAST_COLOUR_WEIGHT), w)
 
 

@@ -56,6 +56,7 @@ def view_of(volume: TsdfVolume, frame: Frame) -> tuple[dict[str, Any], dict[str,
         "inv_colour_band": 1.0 / colour_band_m if colour_band_m else 0.0,
         "ray": config.sdf == "ray",
         "by_distance": config.colour_by_distance,
+        "falling": config.colour_weights == "falling",
     }
     return view, {"depth": packed(frame.depth_m), "rgb": packed(frame.rgb)}, band
 

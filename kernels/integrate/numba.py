@@ -254,7 +254,8 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         max_weight=float(config.max_weight),
         colour_band=float(config.colour_band_voxels * config.voxel_size_m),
     )
-    method = config.sdf == "ray", _AVERAGES[config.average], config.weighs_colours, config.colour_by_distance
+    falling = config.colour_weights == "falling"
+    method = config.sdf == "ray", _AVERAGES[config.average], config.weighs_colours, config.colour_by_distance, falling
     D, W, colours, W_rgb = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes, volume.W_rgb))
     voxels = Voxels(coords=volume.block_coords.numpy(), D=D, W=W, rgb=colours, W_rgb=W_rgb)
     with launching():
@@ -332,12 +333,16 @@ def _average_floats(C, at, step, rgb, pixel, observed):
 
 
 @njit(inline="always")
-def _colour_weight(sdf, inv_z, W_rgb, inv_band, by_distance):
+def _colour_weight(sdf, inv_z, W_rgb, inv_band, by_distance, falling):
     """See ``gsfusion_nb.tsdf.integrate.colour_weight``; ``inv_band``: 0 for no band."""
     w = splat(_ONE)
     if by_distance:
         w = minimum(inv_z * inv_z, splat(_MOST_BY_DISTANCE))
-    w = w * maximum(splat(_ONE) - absolute(sdf) * inv_band, splat(_ZERO))
+    inside = splat(_ONE) - absolute(sdf) * inv_band
+    share = maximum(inside, splat(_ZERO))
+    if not falling:
+        share = select(inside >= splat(_ZERO), splat(_ONE), splat(_ZERO))
+    w = w * share
     return select(splat(_LITTLE) > W_rgb, maximum(w, splat(_LEAST)), w)
 
 
@@ -400,13 +405,13 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
     image: depth and 8-bit colour of every pixel in one word, and colours that are float32, empty if they are bytes.
     view: pose [4, 4] and intrinsic matrix [3, 3], float64, with one added to the principal point.
     method: whether distances are along the ray, how they are averaged, whether colours have weights of their own, and
-    whether these fall with the distance.
+    whether these fall with the distance, and within the band.
 
     A task takes every n-th block, so that tasks cost about the same wherever the hidden blocks are.
     """
     coords, D, W, C, W_rgb = voxels.coords, voxels.D, voxels.W, voxels.rgb, voxels.W_rgb
     (T_CW, K), (packed, rgb) = view, image
-    along_ray, average, weighs_colours, by_distance = method
+    along_ray, average, weighs_colours, by_distance, falling = method
     inv_band_width = f32(1.0 / limits.colour_band) if limits.colour_band > 0.0 else _ZERO
     offset = _offsets(T_CW, K, limits.voxel_size)
     height, width = size
@@ -442,7 +447,8 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
                 at = row * VOXELS_PER_BLOCK + o
                 step = _update(D, W, at, sdf, observed, inv_truncation, most, average)
                 if weighs_colours:
-                    w = select(observed, _colour_weight(sdf, inv_z, load(W_rgb, at), inv_band, by_distance), zero)
+                    w = _colour_weight(sdf, inv_z, load(W_rgb, at), inv_band, by_distance, falling)
+                    w = select(observed, w, zero)
                     if not any_lane(w > zero):
                         continue
                     step = _update_colour_weight(W_rgb, at, w, most)

@@ -20,10 +20,10 @@ struct View {
 
 // The largest depth of a block in view; the smallest depth that is used, half the width of the band around it, the
 // largest weight; one over half the width of the band in which colours count, 0 for none; ray: whether distances are
-// along the ray; by_distance: whether the weights of colours fall with the distance.
+// along the ray; by_distance, falling: whether the weights of colours fall with the distance, and within the band.
 struct Band {
     float far, near, truncation, inv_truncation, max_weight, inv_colour_band;
-    int ray, by_distance;
+    int ray, by_distance, falling;
 };
 
 struct Frame {
@@ -119,7 +119,8 @@ __device__ __forceinline__ bool weighs_colours(const Band& band) { return band.b
 __device__ __forceinline__ float observe_colour(const Band& band, float sdf, float z, float& weight) {
     float w = 1.0f;
     if (band.by_distance) w = 1.0f / fmaxf(z * z, NEAREST_COLOUR_M * NEAREST_COLOUR_M);
-    w *= fmaxf(1.0f - fabsf(sdf) * band.inv_colour_band, 0.0f);
+    const float inside = 1.0f - fabsf(sdf) * band.inv_colour_band;
+    w *= band.falling ? fmaxf(inside, 0.0f) : (inside >= 0.0f ? 1.0f : 0.0f);
     if (weight < LITTLE_COLOUR) w = fmaxf(w, LEAST_COLOUR_WEIGHT);
     weight = fminf(weight + w, band.max_weight);
     return fminf(w / fmaxf(weight, LEAST_COLOUR_WEIGHT), 1.0f);

@@ -70,6 +70,18 @@ def test_weighted_colours(eight_bit, band, by_distance, make_frames):
     assert torch.equal(a.W > 0, a.W_rgb > 0)
 
 
+def test_equal_weights_of_colours(make_frames):
+    """As with falling weights, but a distance that is off by its rounding may change which side of the border it is."""
+    colours = {"colour_band_voxels": 1.0, "colour_weights": "equal", "colour_by_distance": False, "max_weight": 100.0}
+    frames = make_frames(160, 120, n=5)
+    (a, b), _ = both(dataclasses.replace(CONFIG, **colours), frames)
+    assert float((a.W_rgb != b.W_rgb).double().mean()) < 2e-5
+    weights = b.W_rgb[b.W_rgb >= 1]
+    assert float((weights - weights.round()).abs().max()) < 0.1  # with a thousandth of each from outside the band
+    falling, _ = both(dataclasses.replace(CONFIG, **colours | {"colour_weights": "falling"}), frames)
+    assert float((falling[1].W_rgb < b.W_rgb).double().mean()) > 1e-3
+
+
 @pytest.mark.parametrize("average", ["eq9", "int16"])
 @pytest.mark.parametrize("max_weight", [3.0, 255.0])
 def test_published_averages(average, max_weight, make_frames):

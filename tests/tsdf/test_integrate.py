@@ -216,6 +216,9 @@ def test_weights_of_colours_by_hand():
     torch.testing.assert_close(w, torch.tensor([1.0, 0.5, 0.5, 0.0, 1e-3, 1.0]))
     w = colour_weight(sdf, z, had, dataclasses.replace(CONFIG, **weights | {"colour_band_voxels": 0.0}))
     torch.testing.assert_close(w, torch.tensor([0.25, 0.25, 1.0, 1.0, 1.0, 100.0]))
+    equal = weights | {"colour_by_distance": False, "colour_weights": "equal"}
+    w = colour_weight(sdf, z, had, dataclasses.replace(CONFIG, **equal))
+    torch.testing.assert_close(w, torch.tensor([1.0, 1.0, 1.0, 0.0, 1e-3, 1.0]))
 
 
 def test_a_near_colour_counts_more_and_one_behind_the_surface_not(camera, make_frame):

@@ -292,7 +292,7 @@ def hf_slam(
 
 def alpha_behind(ctx: SeedContext) -> Float[Tensor, "H W"]:
     """sum_k alpha_k T_{k+1}, with the light that is left behind each Gaussian in place of in front of it. [H, W]"""
-    screen = render_forward(ctx.gaussians.params, ctx.camera, ctx.frame.T_WC, with_indices=False)[1].screen
+    screen = render_forward(ctx.params(), ctx.camera, ctx.frame.T_WC, with_indices=False)[1].screen
     A = torch.zeros_like(ctx.frame.depth_m)
     for tile in range(screen.tiles.tiles_x * screen.tiles.tiles_y):
         x, y = screen.pixels_of(tile, ctx.camera)

@@ -182,7 +182,7 @@ class MixMicroscope(PixelMicroscope):
         self, mapper: Any, camera: Camera, T_WC: Float[Tensor, "4 4"], *, pixel: tuple[int, int] | None = None
     ):
         self.below = mapper.below(camera, T_WC)
-        splats = stacks.project_splats(mapper.gaussians.params, camera, T_WC)
+        splats = stacks.project_splats(mapper.params_now(), camera, T_WC)
         self._open(splats, to_uint8(mapper.render(camera, T_WC).rgb), pixel)
 
     def _stack_at(self, u: int, v: int) -> PixelMix:

@@ -17,6 +17,7 @@ from ...drawing.pictures import AnyImage, Picture, paint_cells, to_uint8
 from ...gaussians import GaussianModel
 from ...geometry import project, se3
 from ...mapping import GSFusion
+from ...optim import take_missed_steps
 from ...render import render
 from ...seeding import Cells, SeedContext, SeedingRule, apply_rule, quadtree, rule_name
 from ...tsdf import TsdfVolume, integrate
@@ -172,10 +173,13 @@ def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
     volume = TsdfVolume(mapper.config.tsdf, device=mapper.device)
     volume.load_state_dict(copy.deepcopy(mapper.volume.state_dict()))
     integrate(volume, frame)
+    gaussians = GaussianModel.from_state_dict(copy.deepcopy(mapper.gaussians.state_dict()))
+    take_missed_steps(gaussians, mapper.row_optim)
     return dataclasses.replace(
         mapper.seed_context(frame),
         volume=volume,
-        gaussians=GaussianModel.from_state_dict(copy.deepcopy(mapper.gaussians.state_dict())),
+        gaussians=gaussians,
+        params_now=None,
         generator=torch.Generator().manual_seed(0),
         memory=seeding.copy_memory(mapper.memory),
     )

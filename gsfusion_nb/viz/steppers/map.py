@@ -145,7 +145,7 @@ def record_adam(
     Only the opacities have a gradient, the same at every step: ``gradient[k]`` for row k.
     """
     model = GaussianModel(sh_degree=0)
-    model.step_count = earlier_steps
+    model.clock.advance(earlier_steps)
 
     def seeds(n: int) -> Seeds:
         return Seeds.isotropic(torch.zeros(n, 3), torch.full((n, 3), 0.5), torch.full((n,), 0.1), opacity=0.5)

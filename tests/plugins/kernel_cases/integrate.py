@@ -33,10 +33,16 @@ def cases() -> Iterator[Case]:
     for average, flips in (("eq9", _FLIPS), ("int16", 2e-2)):  # a last bit decides between two whole numbers
         frames = [wall(shift_m=x) for x in (0.0, 0.03, 0.01)]
         yield _case(f"average {average}", frames, flips=flips, average=average)
-    for band, by_distance in ((0.0, False), (0.0, True), (0.5, False)):
+    for band, by_distance, weights in (
+        (0.0, False, "falling"),
+        (0.0, True, "falling"),
+        (0.5, False, "falling"),
+        (0.5, True, "equal"),
+    ):
         frames = [wall(shift_m=x) for x in (0.0, 0.03, 0.01)]
-        name = f"band of colours {band:g}{', by distance' if by_distance else ''}"
-        yield _case(name, frames, colour_band_voxels=band, colour_by_distance=by_distance)
+        name = f"band of colours {band:g}, {weights}{', by distance' if by_distance else ''}"
+        colours = {"colour_band_voxels": band, "colour_by_distance": by_distance, "colour_weights": weights}
+        yield _case(name, frames, **colours)
     frame = wall()
     yield _case("nothing measured", [frame, dataclasses.replace(frame, depth_m=torch.zeros_like(frame.depth_m))])
     yield _case("a camera inside the map", [_moved(frame, z=1.4)])
