@@ -1,7 +1,8 @@
 """Settings of GPS-SLAM (Peng et al. 2025), Gaussians over a signed distance field, and its presets.
 
-The text of the paper was not at hand. "paper" is what the same group's next paper (RRG-SLAM, 2026) says about the
-method; "code" is the released code. Where they differ, the field says what each does.
+"paper" is the paper (arXiv 2509.11574), with the released code's values where it gives none; "code" is the released
+code; "rrg" is what the same group's next paper (RRG-SLAM, 2026) says about the method. Where they differ, the field
+says what each does.
 """
 
 import functools
@@ -25,8 +26,8 @@ class BaseConfig(Settings, group="base"):
     enlarged ("half"), which takes 0.4 of the time. What tracks, is scored or shown is always full."""
     behind_m: float = within(0.1, 0, 100)
     """A Gaussian whose centre is farther than this behind the surface is hidden, metres. Larger: Gaussians of hidden
-    surfaces shine through; smaller: noise of the surface hides Gaussians that belong to it. Code 0.1, paper the
-    truncation distance. Usual: 0.02 to 0.1."""
+    surfaces shine through; smaller: noise of the surface hides Gaussians that belong to it. Released 0.1; the paper
+    gives no value, and RRG-SLAM, which cites it, the truncation distance. Usual: 0.02 to 0.1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +77,8 @@ class ScheduleConfig(Settings, group="schedule"):
     """Length of a round, frames: in each, views are renewed and steps are taken. Larger: faster, but slower to follow.
     Released: 10. Usual: 5 to 20."""
     iterations: int = within(20, 0)
-    """Gradient steps in a round. Larger: better pictures, slower. Released 20, paper 30. Usual: 10 to 60."""
+    """Gradient steps in a round. Larger: better pictures, slower. Paper and release 20, RRG-SLAM 30. Usual: 10 to
+    60."""
     spread: bool = True
     """On: the steps and the pictures of the TSDF are spread evenly over the frames of a round, so that all frames take
     about the same time. Off: all in the last frame of a round, as released, which then takes twenty times as long."""
@@ -149,9 +151,9 @@ def gps_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
 
     Args:
         preset: Name of the preset.
-        fidelity: Which to follow where they differ: "paper" (as restated by the same group's next paper), "code" (as
-            released), or "measured", our defaults. "paper" has neither the structural loss nor the depth loss of that
-            paper; ``docs/gps_slam.md`` lists every difference.
+        fidelity: Which to follow where they differ: "paper", "code" (as released), "rrg" (as the same group's next
+            paper, RRG-SLAM, describes the method, without its structural and depth losses), or "measured", our
+            defaults. ``docs/gps_slam.md`` lists every difference.
         overrides: Fields to change, nested ones with a double underscore: ``gps_slam("room", final__passes=0)``.
 
     Raises:

@@ -55,11 +55,11 @@ class GPSSLAM(TsdfMapping):
         self._discs: tuple[int, GaussianParams | None] = (0, None)
         """Number of frames when the surface was made discs last, and these."""
         followed = gps_slam_fidelity(self.config).partition(",")[0]
-        if followed in ("code", "paper"):
+        if followed != "measured":
+            losses = " and its structural and depth losses" if followed == "rrg" else ""
             self.notes.append(
                 f'GPS-SLAM with the fidelity "{followed}" still differs in what is not a setting, such as the order of '
-                'a frame, the colours of voxels, the cut of alpha and, for "paper", its structural and depth losses '
-                "(docs/gps_slam.md)"
+                f"a frame, the stored colours, the cut of alpha{losses} (docs/gps_slam.md)"
             )
 
     def map_frame(self, frame: Frame) -> StepReport:

@@ -97,8 +97,8 @@ def colour_weight(
 
     The weight is 1 at the surface and falls to 0 at the border of the band, because there the pixel shows another place
     than the voxel if it is seen at an angle; with "equal" weights it is 1 in the whole band. It also falls with the
-    square of the distance, as the number of pixels that see the voxel does. A voxel that has had little colour takes any, if only with the least weight: raycasts interpolate
-    between voxels of which some are outside every band.
+    square of the distance, as the number of pixels that see the voxel does. A voxel that has had little colour takes
+    any, if only with the least weight: raycasts interpolate between voxels of which some are outside every band.
 
     Args:
         sdf_m: Signed distance of the voxel, metres. [V]

@@ -6,10 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from gsfusion_nb.config import (
-    ScheduleConfig,
-    gps_slam,
-)
+from gsfusion_nb.config import ScheduleConfig, gps_slam, gps_slam_fidelity
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper, tsdf_mapping
@@ -18,6 +15,7 @@ from gsfusion_nb.optim import fit_pose_by_flow
 from gsfusion_nb.render import base_view
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.runs.outputs import score
+from gsfusion_nb.seeding.rules.gps_slam import gps_slam as gps_slam_rule
 
 ROOM: dict[str, Any] = {"path_or_name": "room", "n_frames": 240, "width": 64, "height": 48}
 SMALL: dict[str, Any] = {"data__width": 0, "data__height": 0, "tsdf__voxel_size_m": 0.04, "final__passes": 1}
@@ -46,6 +44,37 @@ def test_the_released_numbers():
     assert (r.lr_sh_dc, r.lr_sh_rest, r.min_radius_m, r.max_radius_m) == (2.5e-3, 5e-4, 0.003, 0.1)
     assert (c.views.rotation_deg, c.views.translation_m, c.final.passes, c.sh_degree) == (30, 0.3, 0, 3)
     assert (c.tsdf.average, c.seeding.options["only_with_depth"]) == ("int16", False)
+    assert (c.tsdf.colour_band_voxels, c.tsdf.colour_weights, c.tsdf.colour_by_distance) == (1.0, "equal", False)
+    rule = SETTINGS_OF_THE_RULE | c.seeding.options
+    assert (rule["max_weight"], rule["max_radius_m"], rule["surface"]) == (5.0, 0.01, "tsdf")
+
+
+SETTINGS_OF_THE_RULE = {field.name: field.default for field in dataclasses.fields(gps_slam_rule)}
+
+
+def test_the_numbers_of_the_paper():
+    """arXiv 2509.11574 v2: sections 3.2 and 4.1, A.1, App. C, Eq. 6 to 8."""
+    c = gps_slam("replica", "paper")
+    rule = SETTINGS_OF_THE_RULE | c.seeding.options
+    assert (rule["colour_error"], rule["max_weight"], rule["share"], rule["most"]) == (0.05, 4.0, 0.25, 1.0)
+    assert (rule["surface"], rule["max_radius_m"], rule["opacity"], rule["in_holes"]) == ("tsdf", 0.1, 0.5, False)
+    s, r = c.schedule, c.residual
+    assert (s.every_frames, s.iterations, s.spread) == (10, 20, False)
+    assert (c.views.rotation_deg, c.views.translation_m, c.views.every_frames) == (30, 0.3, 0)
+    assert (r.loss, r.min_radius_m, r.max_radius_m) == ("l1", 0.003, 0.1)
+    assert (r.lr_xyz, r.lr_sh_dc, r.lr_sh_rest) == (1.6e-4, 2.5e-3, 5e-4)
+    assert (r.lr_opacity_logit, r.lr_log_scale, r.adam.lr_quat) == (0.05, 5e-3, 1e-3)
+    assert (c.tsdf.voxel_size_m, c.final.passes, c.sh_degree) == (0.005, 0, 3)
+    assert gps_slam_fidelity(c) == "paper"
+
+
+def test_the_numbers_of_the_next_paper():
+    c = gps_slam("replica", "rrg")
+    rule = SETTINGS_OF_THE_RULE | c.seeding.options
+    assert (rule["max_weight"], rule["surface"], rule["max_radius_m"]) == (3.0, "depth", 0.01)
+    assert (c.schedule.iterations, c.base.behind_m) == (30, 0.02)
+    assert gps_slam_fidelity(c) == "rrg"
+    assert GPSSLAM.fidelities == ("measured", "paper", "code", "rrg")
 
 
 def test_a_round_has_its_steps_however_they_are_spread():

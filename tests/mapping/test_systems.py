@@ -99,7 +99,7 @@ def test_a_depth_that_no_camera_measures_is_told_once(view):
     assert "depth-max-m" in told[1][0]
 
 
-@pytest.mark.parametrize("fidelity", ["measured", "paper", "code"])
+@pytest.mark.parametrize("fidelity", ["measured", "paper", "code", "rrg"])
 def test_gps_slam_says_what_a_fidelity_does_not_follow(fidelity):
     notes = make_mapper(SYSTEMS["gps_slam"].preset("room", fidelity)).notes
     assert any("docs/gps_slam.md" in note for note in notes) == (fidelity != "measured")

@@ -39,18 +39,18 @@ class gps_slam(MapRule):
         most: At most this share of the image's pixels is drawn, 0..1. Smaller: where poses or depth are noisy, so that
             colours are wrong nearly everywhere, Gaussians stay as few as elsewhere. Release: no limit.
         max_weight: Only in the system gps_slam: no discs where the weights add up to this or more. Larger: more
-            Gaussians. Release 5, next paper 3; 1 needs the fewest.
+            Gaussians. Paper 4, release 5, RRG-SLAM 3; 1 needs the fewest.
         in_holes: Only in the system gps_slam: also seed where the TSDF has no surface, at the measured depth, or
             without one at the depth around the hole. The release does not.
         opacity: Opacity of the discs. Release: 0.5.
-        max_radius_m: Largest standard deviation, metres. Release: 0.01, at 1200 x 680 pixels; at 320 x 240 most discs
-            would be larger.
+        max_radius_m: Largest standard deviation, metres. Paper: 0.1. Release: 0.01, at 1200 x 680 pixels; at 320 x 240
+            most discs would be larger.
         max_radius_px: A disc may also be this many pixels large, if that is more. Release: 0.
         base: What the error is measured against. "map": the picture of the Gaussians alone, since a mapper here draws
             nothing else; "tsdf": with the TSDF's colour where the Gaussians do not cover, as the release, whose picture
             is made of both.
-        surface: "tsdf": positions and normals of the raycast TSDF, as in the release; "depth": of the depth image (as
-            in the same group's later system), which needs no TSDF.
+        surface: "tsdf": positions and normals of the raycast TSDF, as in paper and release; "depth": of the depth image
+            (as in the same group's next paper, RRG-SLAM), which needs no TSDF.
         only_with_depth: Leave out pixels without measured depth. The release seeds them where the TSDF has a surface.
 
     Left out: removal of discs that are small (3 mm), large (10 cm) or transparent (0.005), which the system does. In
