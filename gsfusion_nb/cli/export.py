@@ -83,7 +83,7 @@ def _read(source: Path) -> tuple[GaussianParams, Mesh | None]:
     if not source.is_dir():
         return read_gaussian_ply(source), None
     mesh = source / "mesh.ply"
-    return read_gaussian_ply(source / "gaussians.ply"), read_mesh_ply(mesh) if mesh.is_file() else None
+    return read_gaussian_ply(source / "gaussians.ply", strict=True), read_mesh_ply(mesh) if mesh.is_file() else None
 
 
 def _moving_camera(source: Path) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def run_mapping(
         source, sequence = {}, apply_options(data, settings.data)
     mapper = make_mapper(settings, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
     if from_gaussians is not None:
-        mapper.begin_with(read_gaussian_ply(from_gaussians), Path(from_gaussians).name)
+        mapper.begin_with(read_gaussian_ply(from_gaussians, keep_place=True), Path(from_gaussians).name)
     run = MappingRun(sequence, mapper, source=source)
     with RunFolder(new_folder(sequence.name, folder)) as place:
         if source and not is_room and has_poses(sequence):

@@ -67,7 +67,7 @@ def rescore(
             "compare the map with other images",
         )
     place = torch.device(device or (stored_device if torch.cuda.is_available() else "cpu"))
-    params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
+    params = _of_degree(read_gaussian_ply(folder / "gaussians.ply", strict=True), config.sh_degree, place)
 
     draw = system.drawn_from(folder, params, config)
     align = (lambda frame: system.aligned_pose(draw, params, frame)) if config.data.align_held_out else None
