@@ -1,5 +1,6 @@
 """Presets carry the published numbers, survive JSON, and refuse what makes no sense."""
 
+import dataclasses
 import math
 
 import pytest
@@ -48,7 +49,9 @@ def test_what_the_paper_says():
     k = c.keyframes
     assert (k.latest, k.random, k.rows, k.instead_of_window) == (1, 3, "all", False)
     assert c.final.passes == 10
-    assert c.tracking.target == "model"
+    released = rtg_slam("replica", "code").tracking
+    assert c.tracking == dataclasses.replace(released, target="model")  # the rest is not in the paper
+    assert c.tracking.pyramid == (4, 2, 1)
     assert not c.tracking.landmarks
 
 
