@@ -99,6 +99,7 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
         numbers |= group.as_metrics(name)
     hashes = map_hashes(run)
     numbers |= _mesh_numbers(run, hashes, content) | score_trajectory(run) | _costs(mapped)
+    numbers |= run.mapper.run_metrics(run.steps)
     if entry.spec.online:
         numbers |= frame_rates([s.total_seconds for s in run.steps]) | tracking_rates(run)
     return RunResult(
@@ -106,7 +107,7 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
         status="done",
         metrics={k: float(v) for k, v in numbers.items() if not isinstance(v, NotComputed) and math.isfinite(v)},
         tuned=tuned,
-        notes=mapped.notes,
+        notes=mapped.notes + run.mapper.run_notes(run.steps),
         map_hash=hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest(),
         data_hash=content,
         frames=frame_fingerprints(run.sequence),

@@ -9,6 +9,9 @@ from typing import Any, Literal
 from .parts import DataConfig, SeedingConfig, SystemConfig, TrackingConfig
 from .values import Presets, Settings, positive, setting, within
 
+PUBLISHED_LR_XYZ_M = 1e-3
+"""``window.lr_xyz`` of the released code on every data set, metres per step; a step of this size has confidence 1."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DiscConfig(Settings, group="discs"):
@@ -44,7 +47,7 @@ class WindowConfig(Settings, group="window"):
     """Steps per optimisation of the window. Larger: better pictures, slower. Published: 50. Usual: 20 to 100."""
     lr_xyz: float = within(3e-3, 0, 10)
     """Learning rate of the centres, metres per step, and of the rotations. Larger: the discs reach the measured surface
-    in fewer steps. Published: 0.001. Usual: 0.001 to 0.005."""
+    in fewer steps, and are stable after fewer (states.stable_confidence). Published: 0.001. Usual: 0.001 to 0.005."""
     lr_sh_dc: float = within(0.015, 0, 10)
     """Learning rate of the base colour (spherical harmonics of degree 0). The view-dependent colour learns at 1/20 of
     it. Published on Replica: 5e-4."""
@@ -70,31 +73,37 @@ class WindowConfig(Settings, group="window"):
     """Optimise only unstable Gaussians, on the pixels that they touch. Off: all Gaussians on all pixels, slower (the
     comparison in the paper)."""
 
+    @property
+    def confidence_per_step(self) -> float:
+        """Confidence of one step that changed a Gaussian's colour: its size, in steps of the released code."""
+        return self.lr_xyz / PUBLISHED_LR_XYZ_M
+
 
 @dataclass(frozen=True, kw_only=True)
 class StateConfig(Settings, group="states"):
     """When a Gaussian becomes stable (no longer optimised), unstable again, or is deleted (section 3.2, "State
     management")."""
 
-    stable_confidence: float = positive(300.0)
-    """delta_eta: a Gaussian that was optimised in more steps than this becomes stable. Larger: better fitted before it
-    is fixed, but slower. Code 100 on Replica, which is better with clean depth; 300 is better with noisy depth. Usual:
-    100 to 400."""
+    stable_confidence: float = positive(150.0)
+    """delta_eta: a Gaussian whose confidence is above this becomes stable. Its confidence counts the steps that changed
+    its colour, each as window.lr_xyz / 0.001: three times the published rate is three published steps, so that few
+    large steps and many small ones give the same confidence. Larger: better fitted before it is fixed, but slower.
+    Code 100 on Replica. Usual: 100 to 300. A run in which no Gaussian becomes stable says so."""
     unstable_frames: int = within(120, 1)
     """delta_t: a Gaussian that is still unstable after this many frames is deleted. Larger: rarely seen places survive,
     and so do floaters. Usual: 100 to 400."""
     age: Literal["all", "in_view"] = setting("in_view", before="all")
     """Which frames count for unstable_frames: "all" since the Gaussian was created (paper, code), or "in_view", those
     with its centre in the picture. With "in_view" places that the camera passes quickly are not deleted later."""
-    error_count: int = within(10, 1)
+    error_count: int = within(5, 1)
     """delta_e: a stable Gaussian that is wrong in more frames than this is no longer stable (code: in 10 or more).
-    Larger: slower to repair mistakes, less disturbed by noise. Usual: 5 to 20."""
-    colour_error: float = positive(0.1)
+    Larger: slower to repair mistakes, less disturbed by noise. Usual: 2 to 20."""
+    colour_error: float = positive(0.03)
     """delta_c: a pixel's colour is wrong if it differs by more than this, the mean absolute difference over R, G, B in
-    0..1. Larger: tolerates changes of exposure. Usual: 0.05 to 0.2."""
-    depth_error_m: float = positive(0.1)
+    0..1. Larger: tolerates changes of exposure. Code 0.067. Usual: 0.03 to 0.2."""
+    depth_error_m: float = positive(0.02)
     """delta_d: a pixel's depth is wrong if it differs by more than this, metres. Larger: tolerates noisier depth.
-    Usual: 0.05 to 0.2."""
+    Code 0.2. Usual: 0.02 to 0.2."""
     on_error: Literal["release", "delete"] = "release"
     """What happens to a stable Gaussian that is wrong too often. "release": it becomes unstable again (paper);
     "delete": it is deleted if its depth is wrong, where the model is in front of the measurement, and left as it is if

@@ -117,6 +117,14 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         "loss": Metric("Loss, instead of the system's own"),
         "optimiser": Metric("Optimiser, instead of Adam"),
     },
+    "States of the Gaussians, mean of the frames": {
+        "share_stable": _share("Stable", "No longer optimised."),
+        "share_stable_transparent": _share("Stable, transparent", "Share of all Gaussians."),
+        "share_unstable": _share("Unstable", "Optimised in every window that sees them."),
+        "share_unstable_transparent": _share("Unstable, transparent", "Share of all Gaussians."),
+        "share_transparent": _share("Transparent", "They correct the colour of stable ones."),
+        "share_stable_last": _share("Stable after the last frame", "Before the passes, in which all become stable."),
+    },
     "Speed and memory": {
         "fps_total": Metric("Speed, frames / total time", "frames/s", 2, 1.0, _TOTAL),
         "fps_mean_inverse": Metric("Speed, mean of 1/dt", "frames/s", 2, 1.0, _MEAN_INVERSE),

@@ -4,6 +4,7 @@
 "State management"), and ``fuse_with_history`` keeps earlier views from being forgotten (Eq. 9).
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -222,10 +223,10 @@ def count_views(
         model.frames_in_view.index_add_(0, rows, seen.to(model.frames_in_view.dtype))
 
 
-def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
+def change_states(model: SurfelModel, config: StateConfig, confidence_per_step: float = 1.0) -> Transitions:
     """Unstable -> stable by confidence, stable -> unstable by errors, and removal of bad rows.
 
-    eta_i > delta_eta                unstable becomes stable
+    eta_i > delta_eta                unstable becomes stable; eta_i is a number of steps times ``confidence_per_step``
     e_i > delta_e                    stable becomes unstable; its confidence and its age start again
     k - t_i > delta_t                unstable is removed; ``config.age`` says which frames count
     r_i > max_radius_factor mean(r)  removed, stable or not (released code; not in the paper)
@@ -237,8 +238,8 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
         errors = errors.maximum(model.colour_errors)
     happens = next_states(
         stable, model.confidence, errors, age,
-        stable_confidence=config.stable_confidence, error_count=config.error_count,
-        unstable_frames=config.unstable_frames,
+        stable_confidence=config.stable_confidence / confidence_per_step if confidence_per_step else math.inf,
+        error_count=config.error_count, unstable_frames=config.unstable_frames,
     )  # fmt: skip
     rows = happens.nonzero()[:, 0]  # few
     ready, wrong, expired = (rows[happens[rows] == what] for what in (BECOMES_STABLE, BECOMES_UNSTABLE, DELETED))

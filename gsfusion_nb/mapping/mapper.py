@@ -92,6 +92,8 @@ class Mapper(ABC):
         "Gaussians": lambda report: report.n_gaussians,
     }
     """Title -> value after a step, plotted while mapping; NaN leaves a gap."""
+    states: ClassVar[tuple[str, ...]] = ()
+    """Names of those counts of a step that add up to its Gaussians, if each is in a state; reports plot them."""
     needs_depth: ClassVar[bool] = False
     """Whether a frame without any depth is refused."""
     needs_volume_to_render: ClassVar[bool] = False
@@ -463,6 +465,14 @@ class Mapper(ABC):
     def counts(self) -> dict[str, int]:
         """Sizes of the map besides its Gaussians and keyframes, with their names in metrics.json."""
         return {}
+
+    def run_metrics(self, steps: Sequence[StepReport]) -> dict[str, Any]:
+        """Numbers of a whole run, from its steps, that only this system has; with their names in metrics.json."""
+        return {}
+
+    def run_notes(self, steps: Sequence[StepReport]) -> list[str]:
+        """What the user should know of a whole run with these steps, as sentences."""
+        return []
 
     def maps(self) -> dict[str, dict[str, Tensor]]:
         """The tensors of each map, by name; two runs have the same maps if these are equal (``order_of_rows``)."""

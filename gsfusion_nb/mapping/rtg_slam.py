@@ -22,6 +22,7 @@ from ..seeding import SeedContext
 from ..tracking import Correction
 from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
+from .disc_states import STATES, n_stable, state_shares, why_never_stable
 from .mapper import Mapper
 from .rule import WatchedStep
 from .step import StepReport, psnr_from_mse
@@ -62,9 +63,8 @@ class RTGSLAM(Mapper):
     gaussians_are_discs = True
     needs_depth = True
     panels = ("input", "render", "error", "depth_error", "states", "seed_causes")
-    curves: ClassVar = Mapper.curves | {
-        "stable Gaussians": lambda report: report.counts["stable_opaque"] + report.counts["stable_transparent"]
-    }
+    curves: ClassVar = Mapper.curves | {"stable Gaussians": n_stable}
+    states = STATES
     memory_savers = ("a smaller share in seeding.options",)
 
     config: RtgSlamConfig
@@ -312,7 +312,8 @@ class RTGSLAM(Mapper):
         count_errors(
             self.gaussians, colour_error, view.dominant_index, depth_error_m, view.hit_index, self.config.states
         )
-        return _psnr_db(view.rgb, frame), change_states(self.gaussians, self.config.states)
+        per_step = self.config.window.confidence_per_step
+        return _psnr_db(view.rgb, frame), change_states(self.gaussians, self.config.states, per_step)
 
     def surface(
         self, camera: Camera, T_WC: Float[Tensor, "4 4"], depth_m: Float[Tensor, "h w"] | None = None
@@ -385,6 +386,16 @@ class RTGSLAM(Mapper):
     def counts(self) -> dict[str, int]:
         """Gaussians by state and kind."""
         return {f"n_{name}": count for name, count in state_counts(self.gaussians).items()}
+
+    def run_metrics(self, steps: Sequence[StepReport]) -> dict[str, Any]:
+        """Share of the Gaussians in each state."""
+        return state_shares(steps)
+
+    def run_notes(self, steps: Sequence[StepReport]) -> list[str]:
+        """Whether no Gaussian has become stable."""
+        most_steps = int(self.gaussians.confidence.amax()) if len(self.gaussians) else 0
+        sentence = why_never_stable(steps, self.config, most_steps)
+        return [sentence] if sentence else []
 
     def constant_tensors(self) -> list[Tensor]:
         """Images of keyframes and of the window."""

@@ -220,6 +220,8 @@ def _work(
         )
     elif run.status == "running":
         run.status = "complete"
+    if not stop:
+        run.warnings += [note for note in run.mapper.run_notes(run.steps) if note not in run.warnings]
     if run.steps and not len(run.mapper.gaussians):
         run.warnings.append(_why_empty(run))
 

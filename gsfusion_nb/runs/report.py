@@ -78,6 +78,8 @@ class ReportData:
     config: Mapping[str, Any] = field(default_factory=dict)
     """Settings as nested dictionaries, as from ``dataclasses.asdict``."""
     frames: Sequence[StepReport] = ()
+    states: Sequence[str] = ()
+    """Names of those counts of each frame that add up to its Gaussians."""
     global_losses: Sequence[float | int] = ()
     """Mean loss of each pass of the global optimisation."""
     views: Sequence[ReportView] = ()
@@ -105,7 +107,7 @@ def write_report(path: Path | str, run: ReportData) -> Path:
         headline=_headline(run.metrics),
         views=_views(run.views),
         quadtrees=_quadtrees(run.views),
-        graphs=_graphs(run.frames, run.global_losses),
+        graphs=_graphs(run.frames, run.states, run.global_losses),
         stages=_stages(run.frames),
         meshes=[page_picture(image, name) for name, image in run.mesh_pictures.items()],
         groups=_metric_groups(run.metrics),
@@ -174,8 +176,11 @@ def _quadtrees(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
     return shown
 
 
-def _graphs(frames: Sequence[StepReport], global_losses: Sequence[float | int]) -> list[PageGraph]:
-    """Time by stage, size of the map, PSNR and loss over the frames, and the loss of the global optimisation."""
+def _graphs(
+    frames: Sequence[StepReport], states: Sequence[str], global_losses: Sequence[float | int]
+) -> list[PageGraph]:
+    """Time by stage, size of the map, its states, PSNR and loss over the frames, and the loss of the global
+    optimisation."""
     x = [row.frame_index for row in frames]
     marks = {"marks": [row.frame_index for row in frames if row.is_keyframe], "marks_label": "keyframe"}
     shown = []
@@ -184,6 +189,10 @@ def _graphs(frames: Sequence[StepReport], global_losses: Sequence[float | int]) 
         shown.append(page_graph("Time per frame", x, times, x_label="frame", y_label="time, ms", stacked=True))
         gaussians = {"Gaussians": [row.n_gaussians for row in frames]}
         shown.append(page_graph("Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks))
+    if frames and states:
+        counts = {name.replace("_", " "): [row.counts[name] for row in frames] for name in states}
+        labels = {"x_label": "frame", "y_label": "Gaussians"}
+        shown.append(page_graph("States of the Gaussians", x, counts, stacked=True, **labels))
     psnr = {"before the step": [r.psnr_before_db for r in frames], "after the step": [r.psnr_after_db for r in frames]}
     psnr = {label: values for label, values in psnr.items() if not all(map(math.isnan, values))}
     if psnr:

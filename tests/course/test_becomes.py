@@ -209,7 +209,7 @@ def test_a_room_of_discs_by_the_learners_code_is_the_references():
     """Measured at 48 x 36 with 2 frames: equal counts, and equal PSNR to 0.001 dB."""
     config = rtg_slam("room", data__width=32, data__height=24, data__stop=8, seeding__options={"share": 0.4},
                       discs__min_cosine=0.5, window__every_frames=2, window__frames=2, window__iterations=3,
-                      keyframes__iterations=1, states__stable_confidence=5.0)  # fmt: skip
+                      keyframes__iterations=1, states__stable_confidence=15.0)  # fmt: skip
     room = open_sequence("room", data=config.data, n_frames=48)
     scores, counts = [], []
     for backend in ("reference", "mine"):

@@ -200,6 +200,16 @@ def test_a_row_becomes_stable_above_the_threshold_only():
     assert_same(model, before, ("state", "colour_errors", "depth_errors"))
 
 
+@pytest.mark.parametrize(
+    ("per_step", "stable"), [(1.0, [False, False, True]), (2.0, [False, True, True]), (0.0, [False, False, False])]
+)
+def test_confidence_is_the_number_of_steps_times_their_size(per_step, stable):
+    model = surfels(3)
+    model.confidence.copy_(torch.tensor([50, 51, 101]))
+    change_states(model, CONFIG, per_step)
+    assert model.is_stable.tolist() == stable
+
+
 @pytest.mark.parametrize("counter", ["colour_errors", "depth_errors"])
 def test_a_stable_row_in_error_more_than_ten_times_is_released(counter):
     model = surfels(4, stable=(0, 1, 2), now=1000)

@@ -15,7 +15,9 @@ from gsfusion_nb.mapping import rtg_slam as rtg_slam_module
 from gsfusion_nb.tsdf import integrate
 from gsfusion_nb.types import Frame
 
-QUICK = {"window__iterations": 8, "keyframes__iterations": 4, "sh_degree": 1, "states__stable_confidence": 12.0}
+QUICK = {"window__iterations": 8, "keyframes__iterations": 4, "sh_degree": 1}
+STABLE_AFTER = {"measured": 36.0, "paper": 12.0, "code": 12.0}
+"""Confidence of twelve steps."""
 
 
 @pytest.fixture(scope="session")
@@ -45,7 +47,7 @@ def run(frames: list[Frame], config: RtgSlamConfig, **options: Any) -> tuple[RTG
 
 
 def quick(fidelity: str = "measured", **overrides: Any) -> RtgSlamConfig:
-    return rtg_slam("room", fidelity, **QUICK | overrides)
+    return rtg_slam("room", fidelity, **QUICK | {"states__stable_confidence": STABLE_AFTER[fidelity]} | overrides)
 
 
 def rows(mapper: RTGSLAM) -> dict[str, torch.Tensor]:

@@ -154,6 +154,25 @@ def test_stable_discs_get_a_transparent_one_over_their_wrong_colour():
     assert not over_left.any()
 
 
+def test_transparent_discs_are_not_piled_up():
+    """One of radius 0.1 m in the middle of the wrong colour covers 0.3 m; in the paper it covers nothing."""
+    ctx = context(patches())
+    one = Seeds.isotropic(torch.tensor([[0.8, 0.0, 2.0]]), torch.full((1, 3), 0.5), torch.tensor([0.1]), opacity=0.1)
+    assert ctx.gaussians is not None
+    ctx.gaussians.append(one)
+    before, after = patches(), ctx.gaussians
+
+    def distances(model: SurfelModel, fidelity: str) -> torch.Tensor:
+        seeds = apply_rule("rtg_slam", context(model), {"share": 0.5, "fidelity": fidelity})
+        clear = seeds.opacity < 0.5
+        assert clear.sum() > 20
+        return (seeds.xyz_W[clear] - one.xyz_W).norm(dim=1)
+
+    assert distances(before, "measured").min() < 0.3
+    assert distances(after, "paper").min() < 0.3
+    assert 0.3 <= distances(after, "measured").min() < 0.4
+
+
 def small_discs(n_side: int, z: float, radius_m: float, rgb: tuple[float, float, float], stable: bool) -> SurfelModel:
     """A sheet of discs three and a half radii apart, all over the view."""
     step = 3.5 * radius_m

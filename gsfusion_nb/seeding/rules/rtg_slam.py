@@ -70,7 +70,8 @@ def rtg_slam(
         fidelity: "paper": as above; a pixel that hits no disc is wrong in depth. "code": pixels of the two error kinds
             are one kind; nothing is added near an unstable disc, nor within 3 radii of any disc; a new disc on a stable
             disc's plane is transparent, whatever its kind. "measured": as the paper, but a pixel without a hit has no
-            depth error, and no opaque disc is added within 3 radii of an existing opaque one.
+            depth error, no opaque disc is added within 3 radii of an existing opaque one, and no transparent disc
+            within 3 radii of a transparent one, if the map has states.
 
     Source: Peng et al. 2024, section 3.2, "Gaussians adding"; sizes and "code" from the released code.
     """
@@ -188,8 +189,19 @@ def sized(
     if fidelity == "code":
         return seeds[~gaps.overlaps]
     if fidelity == "measured":
-        return seeds[is_transparent | ~gaps.overlaps]
+        return seeds[torch.where(is_transparent, ~_on_transparent(ctx, seeds), ~gaps.overlaps)]
     return seeds
+
+
+def _on_transparent(ctx: SeedContext, seeds: Seeds) -> Bool[Tensor, " M"]:
+    """Whether each new disc lies within the reach of a transparent one of a map whose rows have states."""
+    if ctx.gaussians is None or ctx.map.state is None:
+        return torch.zeros_like(seeds.opacity, dtype=torch.bool)
+    rows = (ctx.map.opacity < 0.5).nonzero().squeeze(1)
+    distance, row = nearest(seeds.xyz_W, ctx.map.xyz_W[rows])
+    one_more = seeds.opacity.new_zeros(1)  # without any disc, ``nearest`` names row 0
+    radius = torch.cat([ctx.map.radius_m[rows], one_more])
+    return (distance < REACH * radius[row]).any(dim=1)
 
 
 def _decide_by_hit(
