@@ -170,7 +170,8 @@ def write_file(path: str | Path, content: bytes | str) -> None:
 def atomic_folder(path: Path, temporary: Path) -> Iterator[Path]:
     """The folder ``temporary`` to fill, which becomes ``path`` when the block ends without an exception.
 
-    After an exception, Ctrl-C included, it is removed; what a killed program left there is removed at the next start.
+    After an exception, Ctrl-C included, it is removed, and the folders above it that were made for it; what a killed
+    program left there is removed at the next start.
 
     Args:
         path: Folder to make; an empty one may be there.
@@ -183,6 +184,7 @@ def atomic_folder(path: Path, temporary: Path) -> Iterator[Path]:
         raise FileExistsError(f"{path} already exists; expected the name of a new or empty folder")
     if temporary.exists():
         shutil.rmtree(temporary)
+    new_folders = [folder for folder in temporary.parents if not folder.exists()]
     temporary.mkdir(parents=True)
     try:
         yield temporary
@@ -190,6 +192,12 @@ def atomic_folder(path: Path, temporary: Path) -> Iterator[Path]:
         if path.exists():
             path.rmdir()
         move_into_place(temporary, path)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        for folder in new_folders:
+            with contextlib.suppress(OSError):  # only one that is still empty goes
+                folder.rmdir()
+        raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

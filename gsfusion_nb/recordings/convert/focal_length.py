@@ -13,7 +13,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ...data.adjust.resize import resize_colour
-from ...data.lens import CameraModel
+from ...data.lens import CameraModel, same_proportions
+from ...data.sequence import SequenceError
 from ...tracking import Features, extract_features
 from ...tracking.matching import match_features
 from ...types import Camera, Frame
@@ -75,6 +76,12 @@ def _corners(colour: Path, depth: Path, scale: float) -> tuple[Features, tuple[i
     """Corners of a frame with points as of a camera whose focal length is the image width; and the width and height."""
     images = load_pair(colour, depth, scale)
     height, width = images.rgb.shape[:2]
+    depth_height, depth_width = images.depth_m.shape
+    if not same_proportions((width, height), (depth_width, depth_height)):
+        raise SequenceError(
+            f"{depth} is {depth_width}x{depth_height} and {colour} {width}x{height}, of other proportions; the focal "
+            "length is measured on depth that is registered to colour; give --intrinsics"
+        )
     share = min(1.0, _LONG_SIDE / max(width, height))
     w, h = round(share * width), round(share * height)
     frame = Frame(

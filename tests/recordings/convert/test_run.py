@@ -11,6 +11,7 @@ from gsfusion_nb.cli import main
 from gsfusion_nb.data import SequenceError, folder
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.convert import ConvertOptions, convert
+from gsfusion_nb.recordings.convert.focal_length import estimated_model
 from gsfusion_nb.recordings.convert.recording import OptionNeeded
 from gsfusion_nb.recordings.convert.run import _Conversion
 from gsfusion_nb.types import Camera
@@ -164,6 +165,9 @@ def test_depth_of_other_proportions_is_not_stretched_but_asked_for(tmp_path, unr
         convert(scan, tmp_path / "out")
     assert asked.value.option == "depth_intrinsics"
     assert not (tmp_path / "out").exists()
+    pairs = [(scan / f"color/{i}.png", scan / f"depth/{i}.png") for i in range(4)] * 2
+    with pytest.raises(SequenceError, match=r"depth/.\.png is 40x40 and .* 60x44, of other proportions"):
+        estimated_model(pairs, 1000.0)
 
 
 def test_depth_of_another_camera_is_registered_with_its_intrinsics_and_place(tmp_path, unregistered, box):

@@ -51,6 +51,11 @@ def _files_of(folder: Path, given: Path) -> list[Path]:
     """
     listed = folder / METADATA
     what = f"the {METADATA} of a ROS 2 bag"
+    if not listed.exists():
+        raise SequenceNotFoundError(
+            f"{listed} does not exist; a ROS 2 bag in sqlite needs it, and 'ros2 bag reindex' makes one; a .db3 file "
+            "of the RealSense SDK is no such bag: record a .bag file there"
+        )
     with parsing(listed, what):
         content = yaml.safe_load(read_text(listed, what))
         names = [Path(name).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]

@@ -249,6 +249,9 @@ def test_a_file_beside_a_bag_that_does_not_name_it_is_refused(bag_folder):
     shutil.copy(next(bag_folder.glob("*.db3")), bag_folder / "other.db3")
     with pytest.raises(SequenceError, match=r"metadata\.yaml does not name other\.db3; it is of the bag scan"):
         convert(bag_folder / "other.db3", bag_folder / "out", options=NONE)
+    (bag_folder / "metadata.yaml").rename(bag_folder / "kept.yaml")
+    with pytest.raises(SequenceError, match=r"metadata\.yaml does not exist; .*'ros2 bag reindex' makes one"):
+        convert(bag_folder / "other.db3", bag_folder / "out", options=NONE)
     (bag_folder / "metadata.yaml").write_text("rosbag2_bagfile_information: 3")
     with pytest.raises(SequenceError, match=r"metadata\.yaml is not readable as the metadata\.yaml of a ROS 2 bag"):
         convert(bag_folder, bag_folder / "out", options=NONE)
