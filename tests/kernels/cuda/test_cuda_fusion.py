@@ -89,6 +89,16 @@ def test_same_voxels(width, height, sdf, make_frames, fuse_both, assert_same_vox
     assert width < 64 or float(volumes[1].W.max()) == 3.0
 
 
+@pytest.mark.parametrize("weights", ["falling", "equal"])
+def test_weights_of_colours(weights, make_frames, fuse_both, compare):
+    """A distance that is off by its rounding moves a falling weight as much, and an equal one over the band's end."""
+    colours = {"colour_band_voxels": 1.0, "colour_weights": weights, "max_weight": 100.0}
+    (a, b), _ = fuse_both(dataclasses.replace(CONFIG, **colours), make_frames(64, 47, n=4))
+    compare("fuse_frame_", "W_rgb", b.W_rgb, a.W_rgb, 1e-4, share=1e-4)
+    fall_short = (a.W_rgb > 0.5) & ((a.W_rgb - a.W_rgb.round()).abs() > 0.01)
+    assert bool(fall_short.any()) == (weights == "falling")
+
+
 @pytest.mark.parametrize("shift", [-3.0, 640.0])
 def test_voxels_anywhere_in_the_world(shift, make_frames, fuse_both, assert_same_voxels):
     volumes, _ = fuse_both(CONFIG, make_frames(40, 31, n=2, shift=shift))
