@@ -82,12 +82,16 @@ def double(params: GaussianParams) -> GaussianParams:
     return GaussianParams(**{name: value.double() for name, value in vars(params).items()})
 
 
+def when_hit(discs: DiscConfig) -> dict[str, float | None]:
+    return {"max_offset": discs.max_offset, "min_cosine": discs.min_cosine}
+
+
 def written_out(params, seen: TrainingView, window: WindowConfig, discs: DiscConfig, hit, known, held, anchor) -> float:
     """w_c mean |C - C^| + w_d mean |D - D^| + w_reg (MSE(p) + MSE(log s) + MSE(q)) in float64, which pixel hits which
     disc, and which pixels have a depth loss, held fixed."""
     out, _ = render_forward(params, seen.camera, seen.T_WC, opaque_alpha=discs.opaque_alpha)
     if discs.depth == "disc":
-        depth_m = disc_depth(params, seen.camera, seen.T_WC, hit).depth_m
+        depth_m = disc_depth(params, seen.camera, seen.T_WC, hit, **when_hit(discs)).depth_m
     else:
         depth_m = out.depth_m / out.alpha
     colour = (out.rgb - seen.rgb.double())[seen.pixels].abs().mean()
@@ -109,7 +113,7 @@ def test_the_gradient_is_that_of_the_whole_printed_loss(generator, depth):
     start = double(optimiser.params)
     output, _ = render_forward(optimiser.params, CAMERA, POSE, opaque_alpha=discs.opaque_alpha)
     if depth == "disc":
-        rendered_m = disc_depth(optimiser.params, CAMERA, POSE, output.hit_index).depth_m
+        rendered_m = disc_depth(optimiser.params, CAMERA, POSE, output.hit_index, **when_hit(discs)).depth_m
     else:
         rendered_m = torch.where(output.alpha >= 0.5, output.depth_m / output.alpha, 0.0)
     known = seen.pixels & (rendered_m > 0) & (seen.depth_m > 0)
