@@ -29,6 +29,8 @@ COMMIT_HERE = "commit_here"
 """Key of a file of numbers: whether its commit is in the history of this repository; absent means that it is."""
 KEYS = {"about", "depends", "columns", "rows", "runs", "cells", "texts", "minutes", "quiet"}
 MARKER = re.compile(r"(?<!`)<!-- (table|commands|text): ([\w-]+)(?: ([\w-]+))? -->(.*?)<!-- end -->", re.DOTALL)
+TRAINED_OTHERWISE = "†"
+"""Mark of a rule whose publication trains the Gaussians otherwise, as in the tables of the lab."""
 ABSOLUTE_PATH = re.compile(r"(?<![\w.~:/\\])(?:~|[A-Za-z]:)?(?:[/\\][^/\\\s\"']+){2,}[/\\]?")
 NUMBER = re.compile(r"-?\d+(\.\d*)?(e[-+]?\d+)?")
 Record = dict[str, Any]
@@ -251,9 +253,13 @@ def leaves(table: Any, label: str = "") -> list[Record]:
 def of_the_lab(table: Mapping[str, Any]) -> list[Record]:
     """A record of each rule and budget with its rank and test, and one for each of its scenes with the means there."""
     found = []
+    of_rule = table.get("rules", {})
     for budget in table["budgets"]:
+        if "units" in budget and len(budget["units"]) < len(budget["scenes"]):
+            raise MeasuredError(f"scenes of {budget['budget']} share frames, so they are no independent numbers")
         for row in budget["rows"]:
-            key = {"label": row["rule"], "budget": budget["budget"]}
+            is_other = bool(of_rule.get(row["rule"], {}).get("published_training"))
+            key = {"label": row["rule"], "budget": budget["budget"]} | ({"mark": TRAINED_OTHERWISE} if is_other else {})
             found.append(key | {"rank": row["rank"]} | (row["test"] or {}))
             for scene, metrics in row["scenes"].items():
                 found.append(key | {"scene": scene} | {name: of["mean"] for name, of in metrics.items()})
@@ -305,7 +311,8 @@ def made(recipe: Mapping[str, Any], values: Mapping[str, list[Record]]) -> dict[
     """Columns, rows and texts of a table from the records of its runs."""
     rows, cells = recipe["rows"], recipe.get("cells")
     if isinstance(rows, str):  # a run: a row for each of its labels
-        rows = [[f"`{label}`", f"{rows}; {label}"] for label in dict.fromkeys(r["label"] for r in values[rows])]
+        marks = {r["label"]: r.get("mark", "") for r in values[rows]}
+        rows = [[f"`{label}` {mark}".strip(), f"{rows}; {label}"] for label, mark in marks.items()]
     if cells:  # each row is a heading and what stands for @ in the cells
         rows = [[row[0], *(text.replace("@", row[-1]) for text in cells)] if len(row) == 2 else row for row in rows]
     if wrong := [row for row in rows if len(row) != len(recipe["columns"])]:

@@ -26,7 +26,8 @@ from ..work import ProgressDisplay
 
 PACKAGES = (
     "torch", "numpy", "numba", "opencv-python-headless", "kornia", "matplotlib", "jupyterlab",
-    "ipykernel", "ipywidgets", "jupyterlab-widgets", "anywidget", "plyfile", "pyvista", "scipy", "tyro",
+    "ipykernel", "ipywidgets", "jupyterlab-widgets", "anywidget", "plyfile", "pyvista", "scipy", "scikit-posthocs",
+    "statsmodels", "tyro",
 )  # fmt: skip
 
 OPTIONAL = {

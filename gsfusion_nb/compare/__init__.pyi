@@ -3,7 +3,7 @@ from .entries import compare_rules as compare_rules
 from .entries import entries_of as entries_of
 from .live_table import LiveTable as LiveTable
 from .one_run import run_spec as run_spec
+from .paired_tests import compare as compare
 from .spec import Budget as Budget
 from .spec import RunResult as RunResult
 from .spec import RunSpec as RunSpec
-from .statistics import compare as compare

@@ -1,5 +1,6 @@
 """``gsfusion-nb lab``: a comparison from a file, with all its outputs in a folder."""
 
+import dataclasses
 import sys
 import time
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from typing import Annotated
 import tyro
 
 from ..backends import backend_names, from_environment, use_backend
+from ..checks import check_name
 from ..config.values import named
 from ..files import write_file
 from ..runs.run_folder import RunFolder
@@ -17,6 +19,7 @@ from .entries import EXAMPLE, read_table
 from .executors import NoWorkerError, executor
 from .map_scene import Entry
 from .outputs import Results, Table
+from .paired_tests import TESTS
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec
 from .tune import is_tuned
@@ -38,6 +41,11 @@ class WhereOptions:
     dask: str = ""
     """Address of the scheduler of a Dask cluster, such as tcp://host:8786, or "local" for one of --jobs workers on this
     machine. The workers must find the data under the same paths. Needs the extra "cluster"."""
+    reference: str = ""
+    """Name of the row that all others are tested against. It must not be chosen by the results. Default: the rule
+    gsfusion where it takes part, else the first row."""
+    tests: str = named("", lambda: [f"{name} ({what})" for name, what in TESTS.items()])
+    """What is tested at each budget. Default: what the file says, else reference."""
     cache: bool = True
     """Use results of earlier commands from the cache, whatever their --out, and keep new ones there. With --no-cache
     they are kept in the folder of --out."""
@@ -83,9 +91,10 @@ def run_and_write(
     Tables are written anew while it runs, at most every ``RENEW_S`` seconds; page and figure at the end.
 
     Raises:
-        FileExistsError: another command is writing to ``folder``.
+        FileExistsError: another command is writing to ``folder``. KeyError: no such row to test against, or no such
+            test.
     """
-    table, results = table or Table(), dict[int, RunResult]()
+    table, results = _as_asked(table or Table(specs=list(specs)), options), dict[int, RunResult]()
     with RunFolder(folder):
         store = ResultStore(None if options.cache else folder)
         began = renewed_s = time.perf_counter()
@@ -121,6 +130,19 @@ def run_and_write(
     if lost:
         print(lost, file=sys.stderr)
     return 1 if failed or lost else 0, done
+
+
+def _as_asked(table: Table, options: WhereOptions) -> Table:
+    """The comparison with the reference and the tests of the command line.
+
+    Raises:
+        KeyError: there are no such ones.
+    """
+    reference, tests = options.reference or table.reference, options.tests or table.tests
+    if reference:
+        check_name("row", reference, dict.fromkeys(spec.label for spec in table.specs))
+    check_name("test", tests, TESTS)
+    return dataclasses.replace(table, reference=reference, tests=tests)
 
 
 def _left(work: float, done: float, elapsed_s: float) -> str:

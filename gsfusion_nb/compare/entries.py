@@ -20,6 +20,7 @@ from ..seeding.rule_code import find_rule, is_rule_file, read_rule_file
 from ..work import ProgressDisplay
 from .map_scene import Entry
 from .outputs import Results, Table
+from .paired_tests import TESTS
 from .run_all import ResultStore, run_all
 from .schedule import changed_settings
 from .spec import Budget, RunResult, RunSpec, identity_of, label_of
@@ -169,6 +170,7 @@ def compare_rules(
     *,
     budget: Budget | None = None,
     seeds: int = 1,
+    reference: str = "",
 ) -> Results:
     """Map ``data`` with each rule and score the views that were held out.
 
@@ -183,10 +185,12 @@ def compare_rules(
         budget: What every rule may spend. By default each rule has as many Gaussians as it makes, and as many gradient
             steps as follow from them; the table then says how much they differ.
         seeds: Number of runs of each rule on each sequence: seeds ``config.seed``, the next one, and so on.
+        reference: Label of the rule that all others are tested against. It must not be chosen by the results. By
+            default ``gsfusion`` where it takes part, else the first.
 
     Raises:
-        KeyError, TypeError, ValueError: as for ``entries_of``. ValueError also if no view is held out. A rule that
-            raises an error while mapping is listed as failed.
+        KeyError, TypeError, ValueError: as for ``entries_of``. KeyError also if there is no such reference, ValueError
+            if no view is held out. A rule that raises an error while mapping is listed as failed.
     """
     config = config or gsfusion("room", optim__global_iterations=0)
     scenes = [data] if isinstance(data, (str, OpenedSequence)) else list(data)
@@ -197,6 +201,9 @@ def compare_rules(
         rules, sequences, seeds=range(config.seed, config.seed + seeds), budgets=[budget or Budget(steps="own")],
         config=config,
     )  # fmt: skip
+    specs = [entry.spec for entry in entries]
+    if reference:
+        check_name("rule", reference, dict.fromkeys(spec.label for spec in specs))
     found: dict[int, RunResult] = {}
     with ProgressDisplay("rules", total=len(entries), unit="run", leave=False) as display:
         try:
@@ -205,11 +212,11 @@ def compare_rules(
                 display.show(len(found))
         except KeyboardInterrupt:
             pass
-    return Results(runs=[found[i] for i in sorted(found)])
+    return Results(runs=[found[i] for i in sorted(found)], about=Table(specs=specs, reference=reference))
 
 
-_TOP = {"seeds": (int, list), "reference": (str,), "system": (str,), "preset": (str,), "device": (str,),
-        "settings": (dict,), "rules": (list,), "scenes": (list,), "budgets": (list,)}  # fmt: skip
+_TOP = {"seeds": (int, list), "reference": (str,), "tests": (str,), "system": (str,), "preset": (str,),
+        "device": (str,), "settings": (dict,), "rules": (list,), "scenes": (list,), "budgets": (list,)}  # fmt: skip
 _RULE = {"rule": (str,), "label": (str,), "options": (dict,), "size_option": (str,), "size_range": (list,),
          "tuned_on": (str,), "settings": (dict,)}  # fmt: skip
 _SCENE = {"data": (str,), "label": (str,), "reader": (dict,), "settings": (dict,), "preset": (str,)}
@@ -259,12 +266,14 @@ def read_table(path: str | Path) -> Table:
     if reference:
         with _at(path, "reference"):
             check_name("rule", reference, [rule["label"] for rule in rules])
+    with _at(path, "tests"):
+        check_name("test", tests := top.get("tests", "reference"), TESTS)
     tuned_on = {rule["label"]: words for rule in rules if (words := rule.pop("tuned_on", ""))}
     specs = [
         RunSpec(**_merged(shared, scene, rule), budget=budget, seed=seed)
         for scene, budget, rule, seed in itertools.product(scenes, budgets, rules, seeds)
     ]
-    return Table(specs=specs, text=text, reference=reference, tuned_on=tuned_on)
+    return Table(specs=specs, text=text, reference=reference, tests=tests, tuned_on=tuned_on)
 
 
 def _made(

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from ..checks import check_name
 from ..drawing.curves import figure_picture, figure_words
 from ..drawing.page import fill
 from ..drawing.pictures import Picture
@@ -15,7 +16,7 @@ from ..viz.display import Bundle, LiveOutput, with_picture
 from ..viz.player import MIN_INTERVAL_S, Player, error_html, player_buttons, take_the_stage
 from .executors import InProcess, Task
 from .map_scene import Entry
-from .outputs import Results
+from .outputs import Results, Table
 from .run_all import ResultStore, run_all
 from .spec import RunResult, RunSpec
 from .tables import failures
@@ -36,15 +37,25 @@ class LiveTable(LiveOutput):
         runs: What is compared; ``entries_of`` makes all combinations of rules, scenes, seeds and budgets.
         folder: Where ``write`` writes.
         store: Where results are kept; the cache of this package by default.
+        reference: Label of the rule that all others are tested against. It must not be chosen by the results. By
+            default ``gsfusion`` where it takes part, else the first.
 
     ``results`` are those so far. ``write()`` writes the table, the figure and the page into ``folder``.
     """
 
     def __init__(
-        self, runs: Iterable[Entry | RunSpec], folder: str | Path = "runs/lab", *, store: ResultStore | None = None
-    ):  # fmt: skip
+        self,
+        runs: Iterable[Entry | RunSpec],
+        folder: str | Path = "runs/lab",
+        *,
+        store: ResultStore | None = None,
+        reference: str = "",
+    ):
         take_the_stage(self)
         self.entries = [run if isinstance(run, Entry) else Entry(spec=run) for run in runs]
+        self._about = Table(specs=[entry.spec for entry in self.entries], reference=reference)
+        if reference:
+            check_name("rule", reference, dict.fromkeys(spec.label for spec in self._about.specs))
         self.folder, self.store = Path(folder), store or ResultStore()
         self._found: dict[int, RunResult] = {}
         self._go, self._given_up, self._resting, self._now = threading.Event(), False, False, ""
@@ -101,11 +112,11 @@ class LiveTable(LiveOutput):
 
     def picture(self) -> Picture:
         """The Pareto plot as an image."""
-        return figure_picture(Results(runs=self.results).figure())
+        return figure_picture(self._now_known().figure())
 
     def write(self, folder: str | Path | None = None) -> list[Path]:
         """Write the results so far (``Results.write``). Returns the files."""
-        return Results(runs=self.results, store=self.store).write(folder or self.folder)
+        return self._now_known().write(folder or self.folder)
 
     def __repr__(self) -> str:
         reasons = [reason for *_, reason in failures(self.results)]
@@ -114,12 +125,16 @@ class LiveTable(LiveOutput):
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self._show()
-        results = Results(runs=self.results)
+        results = self._now_known()
         figure = results.figure()
         bundle = self.widget._repr_mimebundle_(**kwargs)
         data, words = with_picture(bundle, figure_picture(figure), repr(self), alt=figure_words(figure))
         data["text/html"] = results._repr_html_()
         return data, words
+
+    def _now_known(self) -> Results:
+        """The results so far, as results of this comparison."""
+        return Results(runs=self.results, about=self._about, store=self.store)
 
     def _let(self) -> None:
         """Let the runs go on."""
@@ -156,10 +171,10 @@ class LiveTable(LiveOutput):
 
     def _show(self) -> None:
         with self._writing:
-            results = self.results
-            tables = Results(runs=results).tables()
-            self.tables.value = fill("live_table.html", tables=tables, failures=failures(results), picture="")
-            self.progress.value = len(results)
+            known = self._now_known()
+            lost = failures(known.runs)
+            self.tables.value = fill("live_table.html", tables=known.tables(), failures=lost, picture="")
+            self.progress.value = len(known.runs)
             self._say()
 
     def _say(self) -> None:

@@ -17,7 +17,7 @@ from ..files import SequenceError, write_file
 from ..runs import MappingRun
 from ..runs.outputs import environment, map_hashes, score_mesh, score_trajectory, tracking_rates
 from ..runs.scored_views import ScoredViews, scored_views
-from ..seeding import rule_source
+from ..seeding import published_training, rule_source
 from .map_scene import Entry, Mapped, OnStep, budgeted, finished, map_scene
 from .spec import Budget, RunResult, RunSpec, libraries
 from .tune import is_tuned, tune, tuning_spec, with_tuned
@@ -112,9 +112,19 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
         data_hash=content,
         frames=frame_fingerprints(run.sequence),
         rule_source=entry.spec.rule_source or rule_source(entry.found_rule()),
+        training=_training(entry),
         versions=versions(),
         pictures=_pictures(entry, mapped, views["held_out"], folder, content) if folder is not None else {},
     )
+
+
+def _training(entry: Entry) -> str:
+    """``published_training`` of the rule, unless this run follows it: the system of that name, or its own steps."""
+    spec, rule = entry.spec, entry.found_rule()
+    own_steps = any("iterations" in name for name in getattr(rule, "overrides", {}))
+    if spec.rule_name == spec.system or (own_steps and spec.budget.steps == "own"):
+        return ""
+    return published_training(rule)
 
 
 def _mesh_numbers(run: MappingRun, hashes: Mapping[str, str], content: str) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from ..files import atomic_file, plain_cell, write_file
 from .equal_maps import EqualMaps, equal_maps
 from .map_scene import budgeted
 from .page import figure_of, page_html
+from .paired_tests import TESTS, Comparison, RankTest, against_reference, all_pairs, named_reference, rank_test
 from .run_all import ResultStore
 from .scene_units import scene_units, shared_frames
 from .schedule import flat_settings
@@ -26,7 +27,6 @@ from .statistics import (
     COLUMNS,
     Group,
     Summary,
-    against_reference,
     by_budget,
     group_runs,
     over_units,
@@ -48,7 +48,9 @@ class Table:
     text: str = ""
     """The file that describes it."""
     reference: str = ""
-    """Label of the rule that all others are tested against; the best one if empty."""
+    """Label of the rule that all others are tested against; ``named_reference`` if empty."""
+    tests: str = "reference"
+    """What is tested: a name in ``TESTS``."""
     tuned_on: Mapping[str, str] = field(default_factory=dict)
     """Label of a rule -> the scenes that its values were chosen on, in words."""
 
@@ -89,9 +91,21 @@ class Results:
             raise KeyError(f"no rule {label!r}; there are: {known}")
         return [run for run in own if run.status == "done"]
 
+    @property
+    def reference(self) -> str:
+        """Label of the rule that all others are tested against."""
+        return self.about.reference or named_reference(self.about.specs or [run.spec for run in self.runs])
+
+    def tested(self, budget: str) -> list[Comparison]:
+        """The comparisons of two rules at a budget that ``about.tests`` asks for."""
+        if self.about.tests == "pairs":
+            return all_pairs(self.runs, budget)
+        return against_reference(self.runs, budget, self.reference) if self.about.tests == "reference" else []
+
     def tables(self) -> list[ResultTable]:
         """For each budget the rules with the scenes as columns, and a table of each scene."""
-        return all_tables(self.runs, reference=self.about.reference, tuned_on=self.about.tuned_on)
+        about = self.about
+        return all_tables(self.runs, reference=self.reference, tests=about.tests, tuned_on=about.tuned_on)
 
     def figure(self) -> "Figure":
         """Held-out PSNR over each cost."""
@@ -139,8 +153,14 @@ class Results:
                 "\n".join(["### Rows or scenes that are the same", "", *(f"- {warning}" for warning in warnings)])
             )
         for budget in dict.fromkeys(str(r.spec.budget) for r in self.runs):
-            if tests := against_reference(self.runs, budget, self.about.reference):
-                parts.append("\n".join([f"### More than noise? {budget}", "", *(f"- {test}" for test in tests)]))
+            said = [str(test) for test in self.tested(budget)]
+            if self.about.tests == "nemenyi":
+                said = rank_test(self.runs, budget).sentences
+            if said:
+                what = f"Tests: {TESTS[self.about.tests]}."
+                if self.about.tests == "reference":
+                    what += f" The reference is {self.reference}, which does not depend on the results."
+                parts.append("\n".join([f"### More than noise? {budget}", "", what, "", *(f"- {s}" for s in said)]))
         if lost := failures(self.runs):
             lines = [f"- {label}, {scene}, {budget}, seed {seed}: {why}" for label, scene, budget, seed, why in lost]
             parts.append("\n".join(["### Runs that failed", "", *lines]))
@@ -151,7 +171,9 @@ class Results:
 
         ``budgets`` has an entry for each budget, and its ``rows`` one for each rule, in the order of the table:
         ``metrics`` has for each number the mean over the scenes, their standard deviation and number, ``scenes`` the
-        mean, standard deviation and number of the seeds on each scene, ``test`` the comparison with the reference.
+        mean, standard deviation and number of the seeds on each scene, ``test`` the comparison with the reference, the
+        rule minus the reference. ``pairs`` has all pairs where these are tested, ``ranks`` the tests of Friedman and
+        Nemenyi.
         ``units`` are the scenes that are independent, as lists of those that share frames, and ``equal_maps`` the rows
         whose maps are equal.
         """
@@ -164,15 +186,18 @@ class Results:
             "seeds": sorted({r.spec.seed for r in self.runs}),
             "table": self.about.text,
             "tuned_on": dict(self.about.tuned_on),
-            "rules": {r.spec.label: {"rule": r.spec.rule, "source": r.rule_source} for r in done},
+            "rules": {
+                r.spec.label: {"rule": r.spec.rule, "source": r.rule_source, "published_training": r.training}
+                for r in done
+            },
             "budgets": [self._budget_json(groups) for groups in by_budget(self.groups)],
         }
 
     def _budget_json(self, groups: Sequence[Group]) -> dict[str, Any]:
         budget, scenes = groups[0].budget, list(dict.fromkeys(g.scene for g in groups))
         units = scene_units(self.runs)
-        tests = against_reference(self.runs, budget, self.about.reference)
-        against = {test.b: test for test in tests}
+        tested, reference = self.tested(budget), self.reference
+        against = {test.a: test for test in (c.towards(reference) for c in tested) if test.b == reference}
         rows = []
         for standing in standings(groups, units):
             own = {g.scene: g for g in groups if g.label == standing.label}
@@ -187,18 +212,16 @@ class Results:
                     for scene, group in own.items()
                 },
                 "failed": {scene: group.failed[0].reason for scene, group in own.items() if group.failed},
-                "test": None if test is None else {
-                    "difference": _number(test.mean), "interval": [_number(v) for v in test.interval],
-                    "p": _number(test.p), "p_corrected": _number(test.corrected),
-                    "n": len(test.units), "verdict": test.verdict,
-                },
+                "test": None if test is None else _test_json(test),
             })  # fmt: skip
         of_unit: dict[str, list[str]] = {}
         for scene in scenes:
             of_unit.setdefault(units[scene], []).append(scene)
         return {
             "budget": budget, "scenes": scenes, "units": list(of_unit.values()),
-            "reference": tests[0].a if tests else "", "rows": rows,
+            "tests": self.about.tests, "reference": reference, "rows": rows,
+            "pairs": [{"a": c.a, "b": c.b} | _test_json(c) for c in tested] if self.about.tests == "pairs" else [],
+            "ranks": _ranks_json(rank_test(self.runs, budget)) if self.about.tests == "nemenyi" else None,
             "equal_maps": [_equal_json(e) for e in equal_maps(self.runs) if e.budget == budget],
         }  # fmt: skip
 
@@ -237,6 +260,21 @@ def _same_map_as(result: RunResult, equal: Sequence[EqualMaps]) -> str:
     return "; ".join(label for e in here if spec.label in e.labels for label in e.labels if label != spec.label)
 
 
+def _test_json(test: Comparison) -> dict[str, Any]:
+    return {
+        "difference": _number(test.mean), "interval": [_number(v) for v in test.interval],
+        "p": _number(test.p), "p_corrected": _number(test.corrected),
+        "n": len(test.units), "verdict": test.verdict,
+    }  # fmt: skip
+
+
+def _ranks_json(test: RankTest) -> dict[str, Any]:
+    pairs = [{"a": a, "b": b, "p": p, "better": (a, b) in test.better} for (a, b), p in test.pairs.items()]
+    ranks = dict(zip(test.labels, test.ranks, strict=True))
+    values = {"p": _number(test.p), "n": test.n_units, "mean_ranks": ranks}
+    return values | {"left_out": list(test.left_out), "pairs": pairs}
+
+
 def _equal_json(equal: EqualMaps) -> dict[str, Any]:
     places = [{"scene": scene, "seed": seed} for scene, seed in equal.places]
     return {"rules": list(equal.labels), "places": places}
@@ -264,7 +302,8 @@ def _row(result: RunResult) -> dict[str, Any]:
         "reader": dict(spec.reader), "seed": spec.seed, "system": spec.system, "steps": spec.budget.steps,
         "budget_gaussians": spec.budget.gaussians, "budget_tolerance": spec.budget.tolerance, "status": result.status,
         "reason": result.reason,
-        "notes": "; ".join(result.notes), "key": result.key, "map_hash": result.map_hash, "data_hash": result.data_hash,
+        "notes": "; ".join(result.notes), "published_training": result.training,
+        "key": result.key, "map_hash": result.map_hash, "data_hash": result.data_hash,
         "copied_from": result.copied_from,
         **{f"metric.{name}": value for name, value in result.metrics.items()},
         **{f"tuned.{name}": value for name, value in result.tuned.items()},

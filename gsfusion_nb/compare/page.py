@@ -3,7 +3,6 @@
 The plot has one part for each scene and cost, with the front of the rules that no other beats.
 """
 
-import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -16,9 +15,9 @@ from ..data.recorded.images import decode_rgb, read_image_bytes
 from ..drawing.curves import GRID, INK, MUTED, PAPER
 from ..drawing.page import ColourBar, PageGraph, fill
 from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, error_map, fit_width
-from .scene_units import scene_units
+from .paired_tests import all_pairs
 from .spec import RunResult
-from .statistics import COLUMNS, FIRST_METRIC, Group, compare, corrected, group_runs
+from .statistics import COLUMNS, FIRST_METRIC, Group, group_runs
 from .tables import ResultTable, failures
 
 if TYPE_CHECKING:
@@ -189,9 +188,5 @@ def _shots(group: Group, folder: Path, pictures: dict[str, int]) -> dict[str, An
 
 def _pair_sentences(results: Sequence[RunResult]) -> list[tuple[str, str, str, str]]:
     """Budget, two rules, and what the test says about them, corrected for all pairs of rules."""
-    found, units = [], scene_units(results)
-    for budget in dict.fromkeys(str(r.spec.budget) for r in results):
-        labels = dict.fromkeys(r.spec.label for r in results if str(r.spec.budget) == budget)
-        pairs = [compare(results, a, b, budget=budget, units=units) for a, b in itertools.combinations(labels, 2)]
-        found += [(budget, c.a, c.b, str(c)) for c in corrected(pairs)]
-    return found
+    budgets = dict.fromkeys(str(result.spec.budget) for result in results)
+    return [(budget, c.a, c.b, str(c)) for budget in budgets for c in all_pairs(results, budget)]

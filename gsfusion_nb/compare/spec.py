@@ -292,6 +292,8 @@ class RunResult:
     """``frame_fingerprints`` of the data: scenes with one in common are not independent."""
     rule_source: str = ""
     """Source code of the rule."""
+    training: str = ""
+    """How the publication of the rule trains the Gaussians, if not as in this run (``trained_otherwise``)."""
     versions: Mapping[str, str] = field(default_factory=dict)
     """Versions of the programs, and the machine."""
     copied_from: str = ""

@@ -7,29 +7,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from .equal_maps import equal_maps, unknown_maps
+from .paired_tests import TESTS, Comparison, against_reference, all_pairs, named_reference, p_text
 from .scene_units import scene_units, shared_frames
-from .statistics import (
-    COLUMNS,
-    FIRST_METRIC,
-    Column,
-    Comparison,
-    Group,
-    Summary,
-    against_reference,
-    by_budget,
-    group_runs,
-    p_text,
-    standings,
-)
+from .statistics import COLUMNS, FIRST_METRIC, Column, Group, Summary, by_budget, group_runs, standings
 
 if TYPE_CHECKING:
     from .spec import RunResult
 
 RANK = Column(metric="rank", heading="Mean rank", digits=2, better="lower")
-_TESTS = (
-    Column(metric="difference", heading="Reference minus rule", unit=COLUMNS[FIRST_METRIC].unit),
+_TEST_COLUMNS = (
+    Column(metric="difference", heading="Rule minus reference", unit=COLUMNS[FIRST_METRIC].unit),
     Column(metric="p", heading="p", digits=3),
 )
+
+
+OTHERWISE = "†"
+"""Mark of a row whose publication trains the Gaussians otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +43,8 @@ class Row:
 
     label: str
     cells: tuple[Cell, ...]
+    mark: str = ""
+    """Sign behind the label, which a note explains."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,24 +66,41 @@ class ResultTable:
 
 
 def all_tables(
-    results: "Sequence[RunResult]", *, reference: str = "", tuned_on: Mapping[str, str] | None = None
+    results: "Sequence[RunResult]",
+    *,
+    reference: str = "",
+    tests: str = "reference",
+    tuned_on: Mapping[str, str] | None = None,
 ) -> list[ResultTable]:
     """For each budget: the rules with the scenes as columns, if there are several, and a table of each scene.
 
     Args:
         results: All runs.
-        reference: Label of the rule that all others are tested against; the best one if empty.
+        reference: Label of the rule that all others are tested against; ``named_reference`` if empty.
+        tests: What is tested: a name in ``TESTS``.
         tuned_on: Label of a rule -> the scenes that its values were chosen on.
     """
     tables = []
     units = scene_units(results)
+    reference = reference or named_reference(result.spec for result in results)
     for of_budget in by_budget(group_runs(results)):
         scenes = list(dict.fromkeys(group.scene for group in of_budget))
         if len(scenes) > 1:
-            tests = against_reference(results, of_budget[0].budget, reference)
-            tables.append(_scenes_table(of_budget, tests, tuned_on or {}, units))
+            budget = of_budget[0].budget
+            made = against_reference(results, budget, reference) if tests == "reference" else []
+            made = all_pairs(results, budget) if tests == "pairs" else made
+            table = _scenes_table(of_budget, reference, [c.towards(reference) for c in made], tuned_on or {}, units)
+            tables.append(dataclasses.replace(table, notes=(*table.notes, _note_on_tests(reference, tests, made))))
         tables += [scene_table([g for g in of_budget if g.scene == scene]) for scene in scenes]
     return tables
+
+
+def _note_on_tests(reference: str, tests: str, made: Sequence[Comparison]) -> str:
+    """What was tested, and what the tests needed to be told before."""
+    if tests == "reference" and not made:
+        return f"nothing is tested: the reference {reference} has no completed run, or no other rule has one"
+    named = f"; the reference is {reference}, which does not depend on the results" if tests != "nemenyi" else ""
+    return f"tests: {TESTS[tests]}{named}"
 
 
 def scene_table(groups: Sequence[Group]) -> ResultTable:
@@ -99,13 +111,17 @@ def scene_table(groups: Sequence[Group]) -> ResultTable:
     cells = [_cells(c, [g.summary(c.metric) for g in order], marked=c.metric not in fixed) for c in columns]
     return ResultTable(
         budget=groups[0].budget, scene=groups[0].scene, columns=tuple(columns),
-        rows=tuple(Row(label=g.label, cells=tuple(of[i] for of in cells)) for i, g in enumerate(order)),
+        rows=_rows([g.label for g in order], cells, _trained_otherwise(groups)),
         notes=tuple(_notes(groups)),
     )  # fmt: skip
 
 
 def _scenes_table(
-    groups: Sequence[Group], tests: Sequence[Comparison], tuned_on: Mapping[str, str], units: Mapping[str, str]
+    groups: Sequence[Group],
+    reference: str,
+    tests: Sequence[Comparison],
+    tuned_on: Mapping[str, str],
+    units: Mapping[str, str],
 ) -> ResultTable:
     """The rules of one budget with the scenes as columns, best mean over the scenes first."""
     column, order = COLUMNS[FIRST_METRIC], standings(groups, units)
@@ -118,26 +134,39 @@ def _scenes_table(
     cells.append([Cell(text=RANK.text(s.rank), value=RANK.shown(s.rank)) for s in order])
     notes = [f"{column.name} on each scene, the mean over the scenes, and the mean of the ranks; ties share a rank"]
     notes += shared_frames({scene: units[scene] for scene in scenes})
-    if tests:
-        against = {c.b: c for c in tests}
+    against = {c.a: c for c in tests if c.b == reference}
+    if against:
         pairs = [_test_cells(against.get(label)) for label in labels]
         cells += [[difference for difference, _ in pairs], [p for _, p in pairs]]
         notes.append(
-            f"last columns: mean difference from {tests[0].a} with its 95 % interval, and p of the paired t test over "
+            f"last columns: mean difference to {reference} with its 95 % interval, and p of the paired t test over "
             f"the {n_units} scenes, corrected by Holm's method for {tests[0].n_tests} comparisons"
         )
-    notes += _notes_on_maps(groups)
+    notes += _notes_on_rows(groups)
     notes += [f"{label} was tuned on: {where}" for label, where in tuned_on.items() if label in labels]
     return ResultTable(
         budget=groups[0].budget,
         scene="",
         columns=(
             *(dataclasses.replace(column, heading=scene) for scene in (*scenes, "Mean")),
-            RANK, *(_TESTS if tests else ()),
+            RANK, *(_TEST_COLUMNS if against else ()),
         ),
-        rows=tuple(Row(label=label, cells=tuple(of[i] for of in cells)) for i, label in enumerate(labels)),
+        rows=_rows(labels, cells, _trained_otherwise(groups)),
         notes=(*notes, _seeds_note(groups)),
     )  # fmt: skip
+
+
+def _rows(labels: Sequence[str], cells: Sequence[Sequence[Cell]], marked: Mapping[str, str]) -> tuple[Row, ...]:
+    """A row of each rule; ``cells`` are the columns."""
+    return tuple(
+        Row(label=label, cells=tuple(of[i] for of in cells), mark=OTHERWISE if label in marked else "")
+        for i, label in enumerate(labels)
+    )
+
+
+def _trained_otherwise(groups: Sequence[Group]) -> dict[str, str]:
+    """Label of a rule -> how its publication trains the Gaussians, of the rules of which that is not as here."""
+    return {run.spec.label: run.training for group in groups for run in group.runs if run.training}
 
 
 def _cells(column: Column, summaries: Sequence[Summary], *, marked: bool = True) -> list[Cell]:
@@ -184,14 +213,21 @@ def _notes(groups: Sequence[Group]) -> list[str]:
             parts.append(f"{min(means):,.0f} to {max(means):,.0f} {noun}")
     if parts:
         notes.append(f"not equal between the rules: {' and '.join(parts)}; quality also depends on these")
-    notes += _notes_on_maps(groups)
+    notes += _notes_on_rows(groups)
     return list(dict.fromkeys([*notes, *(f"{run.spec.label}: {note}" for run in runs for note in run.notes)]))
 
 
-def _notes_on_maps(groups: Sequence[Group]) -> list[str]:
-    """Which rows have equal maps."""
+def _notes_on_rows(groups: Sequence[Group]) -> list[str]:
+    """Which rows have equal maps, and which are not trained as their publication trains them."""
     runs = [run for group in groups for run in group.runs]
-    return [*map(str, equal_maps(runs)), *unknown_maps(runs)]
+    notes = [*map(str, equal_maps(runs)), *unknown_maps(runs)]
+    if marked := _trained_otherwise(groups):
+        listed = "; ".join(f"{label} ({training})" for label, training in marked.items())
+        notes.append(
+            f"{OTHERWISE} the publication trains the Gaussians otherwise than here, so the row is about this rule, and "
+            f"not about that system: {listed}"
+        )
+    return notes
 
 
 def _seeds_note(groups: Sequence[Group]) -> str:
@@ -223,7 +259,8 @@ def as_markdown(table: ResultTable) -> str:
     ]
     for row in table.rows:
         cells = (f"**{_markdown(cell.text)}**" if cell.best else _markdown(cell.text) for cell in row.cells)
-        lines.append(f"| {' | '.join([_markdown(row.label), *cells])} |")
+        label = f"{_markdown(row.label)} {row.mark}".strip()
+        lines.append(f"| {' | '.join([label, *cells])} |")
     return "\n".join([*lines, "", *(f"- {_markdown(note)}" for note in table.notes)])
 
 

@@ -30,12 +30,14 @@ from .rule import every as every
 from .rule import get_rule as get_rule
 from .rule import is_map_rule as is_map_rule
 from .rule import option_values as option_values
+from .rule import published_training as published_training
 from .rule import registered as registered
 from .rule import rule_choices as rule_choices
 from .rule import rule_name as rule_name
 from .rule import rule_options as rule_options
 from .rule import seeding_rule as seeding_rule
 from .rule import submaps as submaps
+from .rule import trained_otherwise as trained_otherwise
 from .rule_code import is_built_in as is_built_in
 from .rule_code import read_code as read_code
 from .rule_code import rule_files as rule_files

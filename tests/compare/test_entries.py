@@ -2,7 +2,9 @@
 
 import pytest
 
-from gsfusion_nb.compare.command import LabOptions, main
+from gsfusion_nb.cli import main as cli
+from gsfusion_nb.compare import LiveTable
+from gsfusion_nb.compare.command import LabOptions, _as_asked, main
 from gsfusion_nb.compare.entries import EXAMPLE, TableError, read_table
 
 GOOD = """\
@@ -72,6 +74,8 @@ def test_all_combinations_in_order(table):
         ("[[scenes]]", "[[scene]]", "scene"),
         ('label = "a wall"', 'settings = { sh_degree = 0, sh_degre = 1 }', "scenes[0]: "),
         ("seeds = [0, 3]", "seeds = [0, 3", "TOML: "),
+        ("seeds =", 'tests = "wilcoxon"\nseeds =', "tests: no test 'wilcoxon'; known: nemenyi, pairs, reference"),
+        ("seeds =", 'reference = "the best"\nseeds =', "reference: no rule 'the best'"),
     ],
 )  # fmt: skip
 def test_mistakes_are_found_before_anything_runs(table, old, new, place):
@@ -101,6 +105,20 @@ def test_the_example_is_a_good_file(tmp_path, capsys):
         main(LabOptions(table=str(tmp_path / "none.toml")))
     with pytest.raises(ValueError, match="--new"):
         main(LabOptions())
+
+
+def test_what_is_tested_is_named_before_anything_runs(table, tmp_path):
+    path = table("seeds =", 'tests = "pairs"\nreference = "some"\nseeds =')
+    found = read_table(path)
+    assert (found.tests, found.reference) == ("pairs", "some")
+    asked = _as_asked(found, LabOptions(tests="nemenyi"))
+    assert (asked.tests, asked.reference) == ("nemenyi", "some")
+    assert _as_asked(found, LabOptions(reference="uniform fraction=0.1")).reference == "uniform fraction=0.1"
+    out = ["--out", str(tmp_path / "out")]
+    assert cli(["lab", str(path), *out, "--reference", "the best"]) == 1
+    assert cli(["lab", str(path), *out, "--tests", "wilcoxon"]) == 1
+    with pytest.raises(KeyError, match="no rule 'the best'; known: uniform"):
+        LiveTable(found.specs[:1], tmp_path, reference="the best")
 
 
 @pytest.mark.ci

@@ -1,5 +1,7 @@
 """Registry, signatures, options, checked results, one seed per voxel."""
 
+import re
+from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -12,10 +14,12 @@ from gsfusion_nb.seeding import (
     check_contexts,
     get_rule,
     keep_one_per_voxel,
+    published_training,
     registered,
     rule_choices,
     rule_options,
     seeding_rule,
+    trained_otherwise,
 )
 
 
@@ -157,3 +161,20 @@ def test_one_per_voxel_keeps_the_largest_and_of_equals_the_first():
     seeds = Seeds.isotropic(voxel.float(), torch.zeros(6, 3), size, tag=torch.arange(6))
     assert keep_one_per_voxel(seeds, voxel).tag.tolist() == [1, 2, 4]
     assert len(keep_one_per_voxel(seeds[:0], voxel[:0])) == 0
+
+
+def test_the_page_marks_the_rules_that_their_publication_trains_otherwise():
+    page = (Path(__file__).parents[2] / "docs/seeding_rules.md").read_text()
+    said = {name: published_training(rule) for name, rule in registered().items()}
+    marked = {name: words for name, words in said.items() if words}
+    assert {"vtgaussian", "gaussian_slam", "rtg_slam"} <= set(marked)
+    assert set(re.findall(r"(?m)^\| \[`(\w+)`\]\([^)]*\) † \|", page)) == set(marked)
+    assert dict(re.findall(r"(?m)^\| `(\w+)` \| (.*) \|$", page.split("how its publication trains")[1])) == marked
+
+
+def test_a_rule_made_from_a_marked_one_is_not_marked():
+    class mine(registered()["vtgaussian"]):  # pyright: ignore
+        pass
+
+    assert published_training(mine) == ""
+    assert published_training(trained_otherwise("by hand")(mine)) == "by hand"

@@ -12,7 +12,7 @@ from ...gaussians import Edit
 from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
-from ..rule import KeyframeRule, MapRule, StepStats, When, every, seeding_rule
+from ..rule import KeyframeRule, MapRule, StepStats, When, every, seeding_rule, trained_otherwise
 from ..sampling import depth_error_m, drawn_pixels, in_front, pushed_back, sized_by_neighbours, thin, unmapped_pixels
 
 GRADIENT_POINTS = 50_000
@@ -41,6 +41,7 @@ PRESETS = {
 }
 
 
+@trained_otherwise("colours fixed, 100 steps a mapped frame, separate submaps")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gaussian_slam(MapRule):
@@ -109,6 +110,7 @@ def _start_of_submap(ctx: SeedContext, points: int) -> Bool[Tensor, "H W"]:
     return chosen.view(ctx.camera.height, ctx.camera.width)
 
 
+@trained_otherwise("parts of keyframes that have changed are ignored, by masks of objects")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class game(KeyframeRule):
@@ -168,6 +170,7 @@ class game(KeyframeRule):
         return None if keep.all() else Edit(keep=keep)
 
 
+@trained_otherwise("densified, opacities of floating Gaussians lowered")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gs_slam(KeyframeRule):
@@ -209,6 +212,7 @@ class gs_slam(KeyframeRule):
         return sized_by_neighbours(ctx, seeds, "new and map")
 
 
+@trained_otherwise("anisotropy in the loss, split once, pruned")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class cg_slam(MapRule):
@@ -239,6 +243,7 @@ class cg_slam(MapRule):
         return sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0), "new and map")
 
 
+@trained_otherwise("flat Gaussians, of which only unstable ones with large errors are optimised")
 @seeding_rule
 def vings(
     ctx: SeedContext,

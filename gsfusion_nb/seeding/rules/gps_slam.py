@@ -11,7 +11,7 @@ from torch import Tensor
 from ...geometry import normals_at, se3
 from ...types import Seeds
 from ..context import SeedContext
-from ..rule import MapRule, When, every, seeding_rule
+from ..rule import MapRule, When, every, seeding_rule, trained_otherwise
 from ..sampling import as_discs, sized_by_neighbours
 
 MAX_DEPTH_M = 5.0
@@ -20,6 +20,7 @@ ERROR_SEEN_BEFORE = 3.0
 """Where the map had its chance, in a view that was seen before, the error must be so many times as large."""
 
 
+@trained_otherwise("a residual over the TSDF's colours, 20 steps every 10 frames")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gps_slam(MapRule):

@@ -9,7 +9,7 @@ import torch
 from ...geometry import quaternion, se3
 from ...types import Seeds
 from ..context import SeedContext
-from ..rule import MapRule, seeding_rule
+from ..rule import MapRule, seeding_rule, trained_otherwise
 from ..sampling import MIN_SPACING_M
 
 PRESETS = {"replica": (10, 5e-4, 0.7), "tum": (5, 1e-3, 0.81)}
@@ -18,6 +18,7 @@ LAST = "last_tracking_keyframe"
 OPACITY = 0.1
 
 
+@trained_otherwise("pruned every 200 steps")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gs_icp(MapRule):

@@ -10,7 +10,7 @@ from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
 from ..points import restart_statistics
-from ..rule import KEYFRAMES, KeyframeRule, MapRule, StepStats, When, seeding_rule
+from ..rule import KEYFRAMES, KeyframeRule, MapRule, StepStats, When, seeding_rule, trained_otherwise
 from ..sampling import as_discs, drawn_pixels, sized_by_neighbours
 
 PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
@@ -18,6 +18,7 @@ PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
 FIRST_SHARE, MAX_POINT_SIZE, MIN_COLOUR_SUM = 1 / 32, 0.05, 0.01
 
 
+@trained_otherwise("isotropy in the loss, densified and pruned every 150 steps")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class monogs(KeyframeRule):
@@ -62,6 +63,7 @@ SMALL_SHARE, LARGE_SHARE = 0.01, 0.1
 RESET_OPACITY = 0.4
 
 
+@trained_otherwise("30 steps a frame")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class monogs_like(MapRule):
@@ -143,6 +145,7 @@ class monogs_like(MapRule):
         return Edit(set=settings, clone=grows & small, split=grows & ~small, keep=keep)
 
 
+@trained_otherwise("a pyramid of pictures, densified")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class photo_slam(KeyframeRule):
@@ -179,6 +182,7 @@ MIN_DEPTH_M, MAX_DEPTH_M = 0.1, 10.0
 MAX_OF_MEAN = 3.0
 
 
+@trained_otherwise("flat Gaussians, cloned and split where the error is large, pruned")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class two_dgs_slam(KeyframeRule):

@@ -15,12 +15,13 @@ from ...render import render
 from ...types import Seeds
 from ..context import SeedContext
 from ..image_features import absolute_laplacian, disc_blur, halved
-from ..rule import KeyframeRule, MapRule, StepStats, seeding_rule
+from ..rule import KeyframeRule, MapRule, StepStats, seeding_rule, trained_otherwise
 from ..sampling import sized_by_neighbours
 
 OPACITY, MIN_OPACITY, PRUNE_EVERY = 0.1, 0.005, 100
 
 
+@trained_otherwise("on all pictures of a scan at once, at the depth of an Instant-NGP model")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class cone_gs(MapRule):
@@ -76,6 +77,7 @@ FAR = 1e-8
 """Smallest inverse depth, 1/m."""
 
 
+@trained_otherwise("30 steps a keyframe, at depths that follow from the pictures")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class on_the_fly_nvs(KeyframeRule):

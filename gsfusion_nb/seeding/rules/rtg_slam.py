@@ -14,7 +14,7 @@ from ...render import SurfaceView
 from ...types import Seeds
 from ..context import SeedContext
 from ..points import k_nearest, nearest_others
-from ..rule import seeding_rule
+from ..rule import seeding_rule, trained_otherwise
 
 NEW_AREA, DEPTH_ERROR, COLOUR_ERROR = 1, 2, 3
 """Tags: why a Gaussian was added."""
@@ -32,6 +32,7 @@ BORDER_M = 0.05
 """Existing discs farther than this outside the new points' bounding box are ignored, metres."""
 
 
+@trained_otherwise("opacities fixed, only unstable Gaussians are optimised")
 @seeding_rule
 def rtg_slam(
     ctx: SeedContext,

@@ -13,7 +13,7 @@ from ...geometry.spherical_harmonics import SH_C0
 from ...render import render_forward
 from ...types import Seeds
 from ..context import SeedContext
-from ..rule import MapRule, StepStats, seeding_rule
+from ..rule import MapRule, StepStats, seeding_rule, trained_otherwise
 from ..sampling import (
     as_discs,
     depth_error_m,
@@ -25,6 +25,7 @@ from ..sampling import (
 )
 
 
+@trained_otherwise("60 steps a frame on colour and depth, pruned")
 @seeding_rule
 def splatam(
     ctx: SeedContext,
@@ -65,6 +66,7 @@ PRUNED_AFTER = (1, 21)
 """Steps of a frame after which Gaussians are removed: iterations 0 and 20, counted from 0."""
 
 
+@trained_otherwise("60 steps a frame")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class splatam_like(MapRule):
@@ -129,6 +131,7 @@ class splatam_like(MapRule):
         return None if keep.all() else Edit(keep=keep)
 
 
+@trained_otherwise("densified and pruned every 50 steps")
 @seeding_rule
 def mm3dgs(
     ctx: SeedContext,
@@ -161,6 +164,7 @@ def mm3dgs(
     return one_pixel_seeds(ctx, chosen, share=share)
 
 
+@trained_otherwise("flat Gaussians in local maps, pruned")
 @seeding_rule
 def gaus_slam(
     ctx: SeedContext,
@@ -203,6 +207,7 @@ PUSH_BACK = 1.005
 QUARTERS = torch.tensor([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
 
 
+@trained_otherwise("centres and rotations fixed, 100 steps a frame, a map of its own for each 40 frames")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class vtgaussian(MapRule):
@@ -246,6 +251,7 @@ class vtgaussian(MapRule):
         return pushed_back(ctx, Seeds.cat([coarse, fine]), PUSH_BACK)
 
 
+@trained_otherwise("50 steps a frame on colour and depth")
 @seeding_rule
 def hf_slam(
     ctx: SeedContext,

@@ -13,7 +13,7 @@ from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
 from ..points import abs_image_gradient, image_gradient, restart_statistics
-from ..rule import MapRule, StepStats, seeding_rule
+from ..rule import MapRule, StepStats, seeding_rule, trained_otherwise
 from ..sampling import one_pixel_seeds, unmapped_pixels
 from .edge_discs import edge_discs
 from .gsfusion import gsfusion, uniform
@@ -22,6 +22,7 @@ RADIUS = "largest_radius"
 """Name of the largest radius of each row in an image so far, as a share of the image's longer side."""
 
 
+@trained_otherwise("on all pictures of a scan at once")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class default_strategy(MapRule):
@@ -160,6 +161,7 @@ def strategy_seeds(ctx: SeedContext, seeds_by: str, share: float) -> Seeds:
     return one_pixel_seeds(ctx, unmapped_pixels(ctx, 0.5, torch.inf), share=share)
 
 
+@trained_otherwise("on all pictures of a scan at once")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class mcmc(MapRule):

@@ -35,6 +35,17 @@ def made_run():
 
 
 @pytest.fixture(scope="session")
+def made_runs(made_run):
+    """A function that makes the runs of a rule from scene -> PSNR of each seed."""
+
+    def make(label, by_scene, **more):
+        places = [(scene, seed, db) for scene, of in by_scene.items() for seed, db in enumerate(of)]
+        return [made_run(label, *place, **more) for place in places]
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def made_results(made_run):
     """A function from a folder to 3 rules x 2 scenes x 3 seeds x 2 budgets in it, with pictures; one run has failed."""
     rules = {"quadtree": (24.8, 3000), "uniform": (24.4, 1500), "every <pixel> & more": (22.0, 9000)}

@@ -1,6 +1,7 @@
 """The files of the lab: which are written, and what they say."""
 
 import json
+import math
 
 import cv2
 import numpy as np
@@ -44,7 +45,36 @@ def test_the_numbers_for_other_programs(made_run):
     assert a["metrics"]["psnr_held_out_db"] == {"mean": pytest.approx(20.623456), "sd": pytest.approx(0.5), "n": 3}
     assert a["scenes"]["y"]["psnr_held_out_db"] == {"mean": pytest.approx(21.123456), "sd": None, "n": 1}
     assert (a["test"]["n"], a["test"]["verdict"]) == (3, "equal")
+    assert (budget["tests"], budget["pairs"], budget["ranks"]) == ("reference", [], None)
     assert budget["rows"][2]["failed"] == {"x": "no memory"}
+
+
+@pytest.mark.parametrize("tests", ["pairs", "nemenyi"])
+def test_other_tests_are_in_all_files(made_run, tests):
+    lead = {"a": 1.0, "b": 0.5, "c": 0.0}
+    runs = [
+        made_run(rule, f"scene {i}", psnr=20.0 + db + 0.1 * ((i * len(rule) + ord(rule)) % 3))
+        for i in range(8)
+        for rule, db in lead.items()
+    ]
+    results = Results(runs=runs, about=Table(tests=tests))
+    (budget,) = results.as_json()["budgets"]
+    text = results._as_markdown()
+    assert budget["tests"] == tests
+    assert "a is better than c" in text
+    if tests == "pairs":
+        assert [(p["a"], p["b"], p["verdict"]) for p in budget["pairs"]] == [
+            ("a", "b", "a"), ("a", "c", "a"), ("b", "c", "a")
+        ]  # fmt: skip
+        assert {row["rule"]: row["test"] and row["test"]["verdict"] for row in budget["rows"]} == {
+            "a": None, "b": "b", "c": "b"
+        }  # fmt: skip
+        assert "Tests: every pair of rules, paired t tests, Holm's correction for all pairs." in text
+    else:
+        assert budget["ranks"]["mean_ranks"] == {"a": 1.0, "b": 2.0, "c": 3.0}
+        assert budget["ranks"]["p"] == pytest.approx(math.exp(-8.0))  # chi^2 of 16 with 2 degrees of freedom
+        assert {row["test"] for row in budget["rows"]} == {None}
+        assert "Friedman's test of 3 rules on 8 scenes: p < 0.001, they are not all equal" in text
 
 
 def test_what_is_plotted(made_run):
