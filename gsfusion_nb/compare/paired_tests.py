@@ -279,7 +279,7 @@ def rank_test(results: "Sequence[RunResult]", budget: str, metric: str = FIRST_M
 
     groups = [group for group in group_runs(results) if group.budget == budget]
     labels, means = unit_means(groups, metric, scene_units(results))
-    is_complete = np.isfinite(means).all(axis=1)
+    is_complete: Any = np.isfinite(means).all(axis=1)
     sign = -1.0 if COLUMNS[metric].better == "higher" else 1.0
     ranks = rankdata(sign * means[is_complete], axis=0)
     order = np.argsort(ranks.mean(axis=1), kind="stable") if len(ranks) else np.zeros(0, int)
@@ -309,7 +309,7 @@ def corrected(comparisons: Sequence[Comparison]) -> list[Comparison]:
     if known:
         from statsmodels.stats.multitest import multipletests
 
-        adjusted = multipletests([comparisons[i].p for i in known], method="holm")[1]
+        adjusted: Any = multipletests([comparisons[i].p for i in known], method="holm")[1]
         found |= dict(zip(known, map(float, adjusted), strict=True))
     return [replace(c, corrected=found[i], n_tests=len(known)) for i, c in enumerate(comparisons)]
 
