@@ -188,6 +188,17 @@ def test_a_table_of_the_lab_has_a_row_for_each_rule_with_means_over_scenes():
     ]  # fmt: skip
 
 
+def test_a_table_of_the_lab_keeps_its_marks_and_has_independent_scenes():
+    row = {"rule": "tied", "rank": 1.0, "test": None, "scenes": {"a": {"psnr_db": {"mean": 20.0}}}}
+    budget = {"budget": "8,000", "rows": [row, row | {"rule": "plain"}], "scenes": ["a", "b"], "units": [["a"], ["b"]]}
+    rules = {"tied": {"published_training": "centres fixed"}, "plain": {"published_training": ""}}
+    records = measured.of_the_lab({"budgets": [budget], "rules": rules})
+    recipe = {"columns": ["rule", "PSNR"], "rows": "lab", "cells": ["{@; psnr_db:.1f}"]}
+    assert [row[0] for row in measured.made(recipe, {"lab": records})["rows"]] == ["`tied` †", "`plain`"]
+    with pytest.raises(measured.MeasuredError, match="scenes of 8,000 share frames"):
+        measured.of_the_lab({"budgets": [budget | {"units": [["a", "b"]]}]})
+
+
 def test_a_difference_is_taken_scene_by_scene():
     def of(name, psnr):
         return [{"label": name, "scene": scene, "psnr_db": p} for scene, p in zip("abc", psnr, strict=False)]

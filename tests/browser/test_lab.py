@@ -108,7 +108,7 @@ def test_sorting_choosing_and_menus_by_keyboard(open_page):
         "kitchen, dB",
         "Mean, dB",
         "Mean rank",
-        "Reference minus rule, dB",
+        "Rule minus reference, dB",
         "p",
     ]
 
