@@ -22,7 +22,7 @@ setup: $(STAMP)
 $(INSTALLED): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"gsfusion_nb needs Python >= 3.11, found {v[0]}.{v[1]}: run  make PYTHON=/path/to/python3.11 ...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "Installing what the demo and the course need into $(VENV) (about 2 minutes, 2.2 GB) ..."
+	@echo "Installing what the demo and the course need into $(VENV) (about 2 minutes, 2.4 GB) ..."
 	@$(BIN)/python -m pip install --quiet --no-compile "torch>=2.6,<2.14" $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 	@$(BIN)/python -m pip install --quiet --no-compile --editable .
 	@touch $(INSTALLED)
