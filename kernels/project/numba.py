@@ -357,61 +357,90 @@ def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
 def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
     """From the centre, the conic and the depth of a splat to its row: position, log scales, quaternion."""
     xyz, log_scale, quat = row
-    v_u, v_v, v_uu, v_uv, v_vv = _covariance_vjp(s, total)
+    # ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy,  d = pixel - centre
+    v_u = s[col.CONIC_A] * total[pair.SUM_GX] + s[col.CONIC_B] * total[pair.SUM_GY]
+    v_v = s[col.CONIC_B] * total[pair.SUM_GX] + s[col.CONIC_C] * total[pair.SUM_GY]
     x, y, _ = camera_point(cam, xyz[0], xyz[1], xyz[2])
     inv_z = _ONE / s[col.DEPTH]
     x_z, y_z = x * inv_z, y * inv_z
     tx, ty = clamp(x_z, cam[col.LIMIT_X]), clamp(y_z, cam[col.LIMIT_Y])
     norm, r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(quat)
-    frame = (cam[col.FX] * inv_z, cam[col.FY] * inv_z, tx, ty, v_uu, v_uv, v_vv)
-    g00, g10, g20, l0, tx0, ty0, mm0 = _column_vjp(cam, frame, r00, r10, r20, math.exp(log_scale[0]))
-    g01, g11, g21, l1, tx1, ty1, mm1 = _column_vjp(cam, frame, r01, r11, r21, math.exp(log_scale[1]))
-    g02, g12, g22, l2, tx2, ty2, mm2 = _column_vjp(cam, frame, r02, r12, r22, math.exp(log_scale[2]))
+    s0, s1, s2 = math.exp(log_scale[0]), math.exp(log_scale[1]), math.exp(log_scale[2])
+    lens = (cam[col.FX] * inv_z, cam[col.FY] * inv_z, tx, ty)
+    mu0, mv0, z0 = _column(cam, lens, r00, r10, r20, s0)
+    mu1, mv1, z1 = _column(cam, lens, r01, r11, r21, s1)
+    mu2, mv2, z2 = _column(cam, lens, r02, r12, r22, s2)
+    nu0, nv0, nu1, nv1, nu2, nv2 = _solved(mu0, mv0, mu1, mv1, mu2, mv2)
+    l0, v_mu0, v_mv0 = _column_vjp(s, total, nu0, nv0)
+    l1, v_mu1, v_mv1 = _column_vjp(s, total, nu1, nv1)
+    l2, v_mu2, v_mv2 = _column_vjp(s, total, nu2, nv2)
     v_log_scale[0], v_log_scale[1], v_log_scale[2] = l0, l1, l2
-    v_tx, v_ty, v_mm = tx0 + tx1 + tx2, ty0 + ty1 + ty2, mm0 + mm1 + mm2
+    g00, g10, g20 = _rotation_column_vjp(cam, lens, v_mu0, v_mv0, s0)
+    g01, g11, g21 = _rotation_column_vjp(cam, lens, v_mu1, v_mv1, s1)
+    g02, g12, g22 = _rotation_column_vjp(cam, lens, v_mu2, v_mv2, s2)
     _quaternion_vjp(quat, norm, (g00, g01, g02, g10, g11, g12, g20, g21, g22), v_quat)
+    v_tx = -lens[0] * (z0 * v_mu0 + z1 * v_mu1 + z2 * v_mu2)
+    v_ty = -lens[1] * (z0 * v_mv0 + z1 * v_mv1 + z2 * v_mv2)
     v_xz = cam[col.FX] * v_u + (v_tx if tx == x_z else _ZERO)
     v_yz = cam[col.FY] * v_v + (v_ty if ty == y_z else _ZERO)
-    c0, c1 = v_xz * inv_z, v_yz * inv_z
-    c2 = total[pair.SUM_DEPTH] - inv_z * (x_z * v_xz + y_z * v_yz + v_mm)
-    v_xyz[0] = cam[col.R00] * c0 + cam[col.R10] * c1 + cam[col.R20] * c2
-    v_xyz[1] = cam[col.R01] * c0 + cam[col.R11] * c1 + cam[col.R21] * c2
-    v_xyz[2] = cam[col.R02] * c0 + cam[col.R12] * c1 + cam[col.R22] * c2
+    d0, d1 = v_xz * inv_z, v_yz * inv_z
+    d2 = total[pair.SUM_DEPTH] - inv_z * (x_z * v_xz + y_z * v_yz + l0 + l1 + l2)  # J is as 1/z: m . v_m in all
+    v_xyz[0] = cam[col.R00] * d0 + cam[col.R10] * d1 + cam[col.R20] * d2
+    v_xyz[1] = cam[col.R01] * d0 + cam[col.R11] * d1 + cam[col.R21] * d2
+    v_xyz[2] = cam[col.R02] * d0 + cam[col.R12] * d1 + cam[col.R22] * d2
 
 
 @njit(inline="always")
-def _covariance_vjp(s, total):
-    """dL/d of the centre u, v and of the 2D covariance uu, uv, vv, from the sums over a splat's pixels."""
-    A, B, C = s[col.CONIC_A], s[col.CONIC_B], s[col.CONIC_C]
-    # ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy,  d = pixel - centre
-    v_u, v_v = A * total[pair.SUM_GX] + B * total[pair.SUM_GY], B * total[pair.SUM_GX] + C * total[pair.SUM_GY]
-    v_A, v_B, v_C = -_HALF * total[pair.SUM_GXX], -_HALF * total[pair.SUM_GXY], -_HALF * total[pair.SUM_GYY]
-    # v_cov = -Q v_Q Q
-    p00, p01 = v_A * A + v_B * B, v_A * B + v_B * C
-    p10, p11 = v_B * A + v_C * B, v_B * B + v_C * C
-    return v_u, v_v, -(A * p00 + B * p10), -_TWO * (A * p01 + B * p11), -(B * p01 + C * p11)
+def _column(cam, lens, q0, q1, q2, scale):
+    """A column m (2) of M = J B, and z of that column of B = R_CW R_q S."""
+    a, b, tx, ty = lens
+    x = (cam[col.R00] * q0 + cam[col.R01] * q1 + cam[col.R02] * q2) * scale
+    y = (cam[col.R10] * q0 + cam[col.R11] * q1 + cam[col.R12] * q2) * scale
+    z = (cam[col.R20] * q0 + cam[col.R21] * q1 + cam[col.R22] * q2) * scale
+    return a * (x - tx * z), b * (y - ty * z), z
 
 
 @njit(inline="always")
-def _column_vjp(cam, frame, q0, q1, q2, scale):
-    """One column of B = R_CW R_q S: the gradient to that column of R_q (3), its log scale, tx, ty, and m . v_m."""
-    a, b, tx, ty, v_uu, v_uv, v_vv = frame
-    B0 = (cam[col.R00] * q0 + cam[col.R01] * q1 + cam[col.R02] * q2) * scale
-    B1 = (cam[col.R10] * q0 + cam[col.R11] * q1 + cam[col.R12] * q2) * scale
-    B2 = (cam[col.R20] * q0 + cam[col.R21] * q1 + cam[col.R22] * q2) * scale
-    m_u, m_v = a * (B0 - tx * B2), b * (B1 - ty * B2)
-    v_mu = _TWO * v_uu * m_u + v_uv * m_v
-    v_mv = _TWO * v_vv * m_v + v_uv * m_u
-    v_B0, v_B1 = a * v_mu, b * v_mv
-    v_B2 = -(tx * v_B0 + ty * v_B1)
+def _solved(mu0, mv0, mu1, mv1, mu2, mv2):
+    """n_j = Q m_j of the columns of M, where Q is the inverse of cov = M M^T + blur I.
+
+    n_j = (sum_k (m_k x m_j) (-m_kv, m_ku) + blur m_j) / det: the term of k = j, which is large for a needle, is zero.
+    A mu + B mv, with the conic, would be a difference of large numbers.
+    """
+    c0, c1, c2 = mu1 * mv2 - mu2 * mv1, mu2 * mv0 - mu0 * mv2, mu0 * mv1 - mu1 * mv0
+    trace = mu0 * mu0 + mu1 * mu1 + mu2 * mu2 + mv0 * mv0 + mv1 * mv1 + mv2 * mv2
+    inv_det = _ONE / (c0 * c0 + c1 * c1 + c2 * c2 + _BLUR * trace + _BLUR * _BLUR)
     return (
-        (cam[col.R00] * v_B0 + cam[col.R10] * v_B1 + cam[col.R20] * v_B2) * scale,
-        (cam[col.R01] * v_B0 + cam[col.R11] * v_B1 + cam[col.R21] * v_B2) * scale,
-        (cam[col.R02] * v_B0 + cam[col.R12] * v_B1 + cam[col.R22] * v_B2) * scale,
-        v_B0 * B0 + v_B1 * B1 + v_B2 * B2,
-        -a * B2 * v_mu,
-        -b * B2 * v_mv,
-        m_u * v_mu + m_v * v_mv,
+        (c2 * mv1 - c1 * mv2 + _BLUR * mu0) * inv_det, (c1 * mu2 - c2 * mu1 + _BLUR * mv0) * inv_det,
+        (c0 * mv2 - c2 * mv0 + _BLUR * mu1) * inv_det, (c2 * mu0 - c0 * mu2 + _BLUR * mv1) * inv_det,
+        (c1 * mv0 - c0 * mv1 + _BLUR * mu2) * inv_det, (c0 * mu1 - c1 * mu0 + _BLUR * mv2) * inv_det,
+    )  # fmt: skip
+
+
+@njit(inline="always")
+def _column_vjp(s, total, n_u, n_v):
+    """From n = Q m and the sums of a splat: m . v_m, which is dL/d of the log scale of the column m, and v_m (2).
+
+    v_cov = -Q v_Q Q and v_m = 2 v_cov m = -2 Q (v_Q n), so m . v_m = -2 n . (v_Q n). For a needle m . (2 v_cov m)
+    loses all digits in float32: the entries of v_cov are as large as 1 / blur^2, and along the needle they cancel.
+    """
+    # v_A = -SUM_GXX / 2, v_B = -SUM_GXY (two entries of Q, each half), v_C = -SUM_GYY / 2
+    w_u = total[pair.SUM_GXX] * n_u + total[pair.SUM_GXY] * n_v
+    w_v = total[pair.SUM_GXY] * n_u + total[pair.SUM_GYY] * n_v
+    v_mu, v_mv = s[col.CONIC_A] * w_u + s[col.CONIC_B] * w_v, s[col.CONIC_B] * w_u + s[col.CONIC_C] * w_v
+    return n_u * w_u + n_v * w_v, v_mu, v_mv
+
+
+@njit(inline="always")
+def _rotation_column_vjp(cam, lens, v_mu, v_mv, scale):
+    """From a column of M to that column of R_q."""
+    a, b, tx, ty = lens
+    v_x, v_y = a * v_mu * scale, b * v_mv * scale
+    v_z = -(tx * v_x + ty * v_y)
+    return (
+        cam[col.R00] * v_x + cam[col.R10] * v_y + cam[col.R20] * v_z,
+        cam[col.R01] * v_x + cam[col.R11] * v_y + cam[col.R21] * v_z,
+        cam[col.R02] * v_x + cam[col.R12] * v_y + cam[col.R22] * v_z,
     )
 
 

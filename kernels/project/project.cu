@@ -139,6 +139,22 @@ __device__ __forceinline__ float4 rotation_vjp(const float* q, float norm, const
         (e0 - w * along) / norm, (e1 - x * along) / norm, (e2 - y * along) / norm, (e3 - z * along) / norm);
 }
 
+// n_j = Q m_j of the columns of M, Q = (M M^T + blur I)^-1:  (sum_k (m_k x m_j) (-m_kv, m_ku) + blur m_j) / det, whose
+// large term k = j is zero. A mu + B mv, with the conic, would lose it to rounding.
+__device__ __forceinline__ void solved(const Steps& t, float* n_u, float* n_v) {
+    const float c[3] = {
+        t.mu[1] * t.mv[2] - t.mu[2] * t.mv[1], t.mu[2] * t.mv[0] - t.mu[0] * t.mv[2],
+        t.mu[0] * t.mv[1] - t.mu[1] * t.mv[0]};
+    const float blur = GS_SCREEN_BLUR_PX2, trace = dot3(t.mu, t.mu) + dot3(t.mv, t.mv);
+    const float inv_det = 1.0f / (dot3(c, c) + blur * trace + blur * blur);
+#pragma unroll
+    for (int k = 0; k < 3; k++) {
+        const int next = (k + 1) % 3, last = (k + 2) % 3;
+        n_u[k] = (c[last] * t.mv[next] - c[next] * t.mv[last] + blur * t.mu[k]) * inv_det;
+        n_v[k] = (c[next] * t.mu[last] - c[last] * t.mu[next] + blur * t.mv[k]) * inv_det;
+    }
+}
+
 // sums: of every row, see splat.cuh.
 // trained: rows to be differentiated, or null for all. A row that is not drawn (infinite depth) has no gradient.
 template <int K>
@@ -158,20 +174,20 @@ __device__ __forceinline__ void project_vjp(
     float sum[SPLAT_FLOATS];
     load_row(sums, i, sum);
     const float v_u = s.A * sum[SUM_GX] + s.B * sum[SUM_GY], v_v = s.B * sum[SUM_GX] + s.C * sum[SUM_GY];
-    // v_cov = -Q v_Q Q of Q = cov^-1, where the off-diagonal number stands for two entries
-    const float v_A = -0.5f * sum[SUM_GXX], v_B = -0.5f * sum[SUM_GXY], v_C = -0.5f * sum[SUM_GYY];
-    const float p00 = v_A * s.A + v_B * s.B, p01 = v_A * s.B + v_B * s.C;
-    const float p10 = v_B * s.A + v_C * s.B, p11 = v_B * s.B + v_C * s.C;
-    const float v_uu = -(s.A * p00 + s.B * p10), v_vv = -(s.B * p01 + s.C * p11);
-    const float v_uv = -2.0f * (s.A * p01 + s.B * p11);
-    float w[9], along = 0.0f, v_tx = 0.0f, v_ty = 0.0f;  // w: dL/dB
+    // v_m = 2 v_cov m = -2 Q (v_Q n) with n = Q m, and the gradient of the log scale is m . v_m = -2 n . (v_Q n): for a
+    // needle m . (v_cov m) is a difference of numbers as large as 1 / blur^2. Of Q, v_Q = -sums / 2.
+    float n_u[3], n_v[3];
+    solved(t, n_u, n_v);
+    float w[9], v_log_scale[3], along = 0.0f, v_tx = 0.0f, v_ty = 0.0f;  // w: dL/dB
 #pragma unroll
     for (int k = 0; k < 3; k++) {
-        const float v_mu = 2.0f * v_uu * t.mu[k] + v_uv * t.mv[k], v_mv = 2.0f * v_vv * t.mv[k] + v_uv * t.mu[k];
-        w[k] = t.a * v_mu, w[3 + k] = t.b * v_mv;
+        const float q_u = sum[SUM_GXX] * n_u[k] + sum[SUM_GXY] * n_v[k];
+        const float q_v = sum[SUM_GXY] * n_u[k] + sum[SUM_GYY] * n_v[k];
+        v_log_scale[k] = n_u[k] * q_u + n_v[k] * q_v;
+        w[k] = t.a * (s.A * q_u + s.B * q_v), w[3 + k] = t.b * (s.B * q_u + s.C * q_v);
         w[6 + k] = -(t.tx * w[k] + t.ty * w[3 + k]);
         v_tx -= t.B[6 + k] * w[k], v_ty -= t.B[6 + k] * w[3 + k];
-        along += t.mu[k] * v_mu + t.mv[k] * v_mv;
+        along += v_log_scale[k];
     }
     const float v_xz = c.fx * v_u + (t.tx == t.x_z ? v_tx : 0.0f), v_yz = c.fy * v_v + (t.ty == t.y_z ? v_ty : 0.0f);
     const float v_x = v_xz * t.inv_z, v_y = v_yz * t.inv_z;
@@ -179,7 +195,7 @@ __device__ __forceinline__ void project_vjp(
     float m[9];  // dL/dR_q = R_WC dL/dB S
 #pragma unroll
     for (int k = 0; k < 3; k++) {
-        o.log_scale[3 * i + k] = w[k] * t.B[k] + w[3 + k] * t.B[3 + k] + w[6 + k] * t.B[6 + k];
+        o.log_scale[3 * i + k] = v_log_scale[k];
 #pragma unroll
         for (int row = 0; row < 3; row++)
             m[3 * row + k] = t.s[k] * (t.R[3 * row] * w[k] + t.R[3 * row + 1] * w[3 + k] + t.R[3 * row + 2] * w[6 + k]);
