@@ -5,7 +5,7 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from ..evaluation import NotComputed, frame_rates
 from ..evaluation.image import lpips_unavailable
 from ..files import SequenceError, write_file
 from ..runs import MappingRun
-from ..runs.outputs import environment, map_hashes, score_mesh, score_trajectory, tracking_rates
+from ..runs.outputs import environment, map_hashes, nan_views, score_mesh, score_trajectory, tracking_rates
 from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import published_training, rule_source
 from .map_scene import Entry, Mapped, OnStep, budgeted, finished, map_scene
@@ -102,12 +102,13 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
     numbers |= run.mapper.run_metrics(run.steps)
     if entry.spec.online:
         numbers |= frame_rates([s.total_seconds for s in run.steps]) | tracking_rates(run)
+    metrics = {name: float(value) for name, value in numbers.items() if not isinstance(value, NotComputed)}
     return RunResult(
         spec=entry.spec,
         status="done",
-        metrics={k: float(v) for k, v in numbers.items() if not isinstance(v, NotComputed) and math.isfinite(v)},
+        metrics={name: value for name, value in metrics.items() if math.isfinite(value)},
         tuned=tuned,
-        notes=mapped.notes + run.mapper.run_notes(run.steps),
+        notes=[*mapped.notes, *run.mapper.run_notes(run.steps), *_not_counted(metrics, scores)],
         map_hash=hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest(),
         data_hash=content,
         frames=frame_fingerprints(run.sequence),
@@ -125,6 +126,12 @@ def _training(entry: Entry) -> str:
     if spec.rule_name == spec.system or (own_steps and spec.budget.steps == "own"):
         return ""
     return published_training(rule)
+
+
+def _not_counted(metrics: Mapping[str, float], groups: Iterable[str]) -> list[str]:
+    """Sentences on views that no mean counts, of these groups, and on numbers that a result cannot hold."""
+    nan = nan_views(metrics, [f"{group}{suffix}" for group in groups for suffix in ("", "_online")])
+    return nan + [f"{name} is {value}: left out" for name, value in metrics.items() if not math.isfinite(value)]
 
 
 def _mesh_numbers(run: MappingRun, hashes: Mapping[str, str], content: str) -> dict[str, Any]:
@@ -163,7 +170,7 @@ def _costs(mapped: Mapped) -> dict[str, Any]:
         "seconds_global": run.seconds_global,
         "seconds_total": mapped.seconds,
         "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
-        "peak_memory_mb": math.nan if mapped.peak_mb is None else mapped.peak_mb,
+        "peak_memory_mb": NotComputed("not reported here") if mapped.peak_mb is None else mapped.peak_mb,
     }
 
 

@@ -169,12 +169,12 @@ def depth_l1_m(depth_m: Float[Tensor, "H W"], reference_m: Float[Tensor, "H W"])
     """Mean |depth - reference|, metres, over the pixels that have depth in both, and the share of these pixels.
 
     Returns:
-        ``(l1_m, share)``; the error is NaN when no pixel has both.
+        ``(l1_m, share)``; the error is NaN when no pixel has both, and when a depth that is compared is NaN.
 
     Differentiable: no.
     """
     check_shape("depth_m", depth_m, tuple(reference_m.shape))
-    both = (depth_m > 0) & (reference_m > 0)
+    both = ~(depth_m <= 0) & (reference_m > 0)  # with those that are NaN, which must not disappear
     share = float(both.double().mean()) if both.numel() else 0.0
     error = (depth_m[both].double() - reference_m[both].double()).abs()
     return (_mean(error) if len(error) else math.nan), share
@@ -196,7 +196,7 @@ class ViewScores:
     index: int
     """Frame number in the source sequence."""
     psnr: float
-    """dB."""
+    """dB; NaN if the render has a NaN."""
     ssim: float
     """NaN for images with a side of less than 6 pixels, which are too small for its window."""
     lpips: float | NotComputed
@@ -204,7 +204,7 @@ class ViewScores:
     """NaN for images with a side of less than 11 pixels."""
     lpips_as_released: float | NotComputed
     depth_l1_m: float
-    """Metres; NaN if no pixel has both depths."""
+    """Metres; NaN if no pixel has both depths, or a rendered one is NaN."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,24 +228,46 @@ class ImageScores:
 
     @property
     def depth_l1_m(self) -> float | NotComputed:
-        """Mean of the per-image depth error, metres; views without common depth do not count."""
+        """Mean of the per-image depth error, metres, over the views that have one (``without("depth_l1_m")``)."""
         return self.mean("depth_l1_m")
 
+    @property
+    def not_a_number(self) -> tuple[int, ...]:
+        """Frame numbers of the views whose render has a NaN; no mean of pictures counts them."""
+        return self.without("psnr")
+
+    def without(self, name: str) -> tuple[int, ...]:
+        """Frame numbers of the views whose field ``name`` is NaN, which ``mean`` does not count."""
+        values = [(row.index, getattr(row, name)) for row in self.rows]
+        return tuple(index for index, v in values if not isinstance(v, NotComputed) and math.isnan(v))
+
     def mean(self, name: str) -> float | NotComputed:
-        """Mean of a field of ``ViewScores`` over the views that have it, or the reason why there is none."""
+        """Mean of a field of ``ViewScores`` over the views that have it, or the reason why there is none.
+
+        The views that it leaves out are ``without(name)``; ``as_metrics`` has their numbers.
+        """
         values = [getattr(row, name) for row in self.rows]
         missing = [v for v in values if isinstance(v, NotComputed)]
         if missing:
             return missing[0]
         known = [v for v in values if not math.isnan(v)]
         if not known:
-            reason = "no view has both depths" if name == "depth_l1_m" else "the images are too small for its window"
-            return NotComputed(reason if values else "no view to score")
+            return NotComputed(self._reason_without(name) if values else "no view to score")
         return sum(known) / len(known)
 
+    def _reason_without(self, name: str) -> str:
+        """Why no view has the field ``name``."""
+        if len(self.not_a_number) == len(self):
+            return "the render of every view has a NaN"
+        return "no view has both depths" if name == "depth_l1_m" else "the images are too small for its window"
+
     def as_metrics(self, suffix: str) -> dict[str, float | NotComputed]:
-        """The means with the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out"."""
-        return {
+        """The means with the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out".
+
+        If means leave views out, ``n_views_nan_held_out`` and ``n_views_no_depth_held_out`` say how many.
+        """
+        missing = {"nan": self.not_a_number, "no_depth": self.without("depth_l1_m")}
+        return {f"n_views_{why}_{suffix}": float(len(views)) for why, views in missing.items() if views} | {
             f"psnr_{suffix}_db": self.psnr,
             f"ssim_{suffix}": self.ssim,
             f"lpips_{suffix}": self.mean("lpips"),

@@ -64,6 +64,8 @@ def _image_metrics(suffix: str) -> dict[str, Metric]:
         f"lpips_as_released_{suffix}": _index(f"LPIPS {released}", f"{bgr} Only for published tables."),
         f"depth_l1_{suffix}_m": _cm("Depth error", "Mean |rendered - measured depth| where both exist."),
         f"n_views_{suffix}": _count("Views scored"),
+        f"n_views_nan_{suffix}": _count("Views with a NaN", "Their renders are not numbers; no mean counts them."),
+        f"n_views_no_depth_{suffix}": _count("Views without a depth error", "The mean depth error is of the others."),
     }
 
 

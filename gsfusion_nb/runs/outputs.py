@@ -6,7 +6,7 @@ import json
 import math
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +74,20 @@ def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dic
     draw = mapper.drawn_as_stored()
     wanted = mapper.config.data.align_held_out and not suffix
     align = (lambda frame: mapper.aligned_pose(draw, params, frame)) if wanted else None
-    return score_in_map(draw, scored_views(run), run.sequence, suffix, with_lpips=with_lpips, align=align)
+    views = scored_views(run)
+    metrics = score_in_map(draw, views, run.sequence, suffix, with_lpips=with_lpips, align=align)
+    run.warnings += nan_views(metrics, [f"{name}{suffix}" for name in views])
+    return metrics
+
+
+def nan_views(metrics: Mapping[str, Any], groups: Iterable[str]) -> list[str]:
+    """A sentence for each group of views of which some are not numbers."""
+    counts = {group: metrics.get(f"n_views_nan_{group}", 0) for group in groups}
+    return [
+        f"{n:.0f} of the views {group} have a render with a NaN: no mean of scores counts them"
+        for group, n in counts.items()
+        if n
+    ]
 
 
 def write_maps(run: MappingRun, folder: Path) -> Mesh:

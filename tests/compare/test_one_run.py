@@ -1,5 +1,8 @@
 """One run of the lab: equal steps for every rule, budgets that are reached, failures as rows, equal numbers."""
 
+import dataclasses
+import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -9,8 +12,11 @@ import pytest
 from gsfusion_nb.compare import Budget, RunSpec, map_scene
 from gsfusion_nb.compare.map_scene import Entry
 from gsfusion_nb.compare.one_run import run_entry, run_spec
+from gsfusion_nb.compare.outputs import Results
 from gsfusion_nb.compare.schedule import EQUAL_KEYFRAME_EVERY
 from gsfusion_nb.compare.spec import MEASURED
+from gsfusion_nb.evaluation import score_view
+from gsfusion_nb.runs import scored_views
 from gsfusion_nb.seeding import MapRule, rule_fingerprint
 
 TWO_RULES = """
@@ -62,6 +68,26 @@ def test_a_rule_without_seeds_has_fewer_steps_and_says_so(spec):
     result = run_entry(Entry(spec=spec("nothing", rule_hash="x"), rule=nothing))
     assert (result.status, result.metrics["n_steps"], result.metrics["n_gaussians"]) == ("done", 2, 0)
     assert result.notes == ["after 5 of 5 frames the map was empty, so no gradient steps were taken"]
+
+
+def test_what_is_not_a_number_is_a_note_and_no_silence(spec, monkeypatch):
+    """Of the two views that are scored first, one is broken and one perfect."""
+    broken = {0: math.nan, 1: math.inf}
+    views = itertools.count()
+
+    def scored(*arguments, **options):
+        row = score_view(*arguments, **options)
+        return dataclasses.replace(row, psnr=broken.get(next(views), row.psnr))
+
+    monkeypatch.setattr(scored_views, "score_view", scored)
+    result = run_spec(spec("uniform"))
+    assert result.metrics["n_views_nan_held_out"] == 1
+    notes = [
+        "1 of the views held_out have a render with a NaN: no mean of scores counts them",
+        "psnr_held_out_db is inf: left out",
+    ]
+    assert [note for note in result.notes if "views" in note or "left out" in note] == notes
+    assert all(note in Results(runs=[result]).tables()[0].notes[-2:][i] for i, note in enumerate(notes))
 
 
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])

@@ -187,6 +187,40 @@ def test_depth_mean_skips_views_without_common_depth(generator):
     assert scores.psnr == math.inf
 
 
+def test_a_view_with_a_nan_is_counted_and_its_frame_is_known(generator):
+    """Otherwise a map that is broken in one view scores like one that is not."""
+    rgb = picture(generator)
+    broken = rgb.clone()
+    broken[3, 4, 1] = math.nan
+    frames = [frame_of(i, rgb, torch.ones(24, 31)) for i in (2, 5, 9)]
+    renders = iter([rgb * 0.5, broken, rgb * 0.5])
+    scores = score_views(lambda camera, T_WC: view_of(next(renders), torch.full((24, 31), 1.5)), frames)
+    assert scores.not_a_number == (5,)
+    assert scores.without("ssim") == (5,)
+    assert scores.without("depth_l1_m") == scores.without("lpips") == ()
+    assert scores.psnr == pytest.approx(scores.rows[0].psnr)
+    metrics = scores.as_metrics("held_out")
+    assert metrics["n_views_nan_held_out"] == 1
+    assert "n_views_no_depth_held_out" not in metrics
+    assert format_metric("n_views_nan_held_out", 1.0) == "1"
+    everywhere = score_views(lambda camera, T_WC: view_of(broken, torch.full((24, 31), 1.5)), frames)
+    assert everywhere.psnr == everywhere.ssim == NotComputed("the render of every view has a NaN")
+
+
+def test_a_view_without_a_depth_error_is_counted(generator):
+    rgb, ones = picture(generator), torch.ones(24, 31)
+    broken = torch.full((24, 31), 1.5)
+    broken[0, 0] = math.nan
+    assert math.isnan(depth_l1_m(broken, ones)[0])
+    assert depth_l1_m(broken, ones.index_put((torch.tensor(0), torch.tensor(0)), torch.tensor(0.0)))[0] == 0.5
+    depths = iter([broken, torch.full((24, 31), 1.5), torch.full((24, 31), 1.5)])
+    frames = [frame_of(0, rgb, ones), frame_of(1, rgb, torch.zeros(24, 31)), frame_of(2, rgb, ones)]
+    scores = score_views(lambda camera, T_WC: view_of(rgb, next(depths)), frames)
+    assert scores.without("depth_l1_m") == (0, 1)
+    assert scores.depth_l1_m == pytest.approx(0.5)
+    assert scores.as_metrics("mapped")["n_views_no_depth_mapped"] == 2
+
+
 def test_scores_do_not_depend_on_the_number_of_threads():
     generator, threads = torch.Generator().manual_seed(0), torch.get_num_threads()
     rgb, other = (torch.rand(240, 320, 3, generator=generator) for _ in range(2))

@@ -1,6 +1,7 @@
 import dataclasses
 import importlib
 import json
+import math
 import re
 import signal
 from typing import Any
@@ -10,9 +11,10 @@ import torch
 
 from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data import BadFrameError, SequenceError, apply_options
+from gsfusion_nb.evaluation import score_view
 from gsfusion_nb.export import read_gaussian_ply, read_mesh_ply, read_trajectory_tum
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
-from gsfusion_nb.runs import rescore, resume_mapping, run_mapping
+from gsfusion_nb.runs import rescore, resume_mapping, run_mapping, scored_views
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.types import Seeds
 
@@ -219,6 +221,25 @@ class Odd(Damaged):
 def test_depth_out_of_range_is_named(tmp_path, small_room, config):
     run = run_mapping(Odd(small_room, set(), 1000.0), config, folder=tmp_path / "out", evaluate=False)
     assert any("no depth between tsdf.near_m 0.4 and tsdf.far_m 6 m (its median is" in w for w in run.run.warnings)
+
+
+def test_a_view_whose_render_has_a_nan_is_said_everywhere(tmp_path, small_room, config, split, monkeypatch):
+    """In the numbers, the warnings and the report."""
+
+    def scored(view, frame, **options):
+        if frame.index == split.mapping.positions[1]:
+            view = dataclasses.replace(view, rgb=torch.full_like(view.rgb, math.nan))
+        return score_view(view, frame, **options)
+
+    monkeypatch.setattr(scored_views, "score_view", scored)
+    run_mapping(small_room, config, folder=tmp_path / "run")
+    document = json.loads((tmp_path / "run/metrics.json").read_text())
+    assert document["metrics"]["n_views_nan_mapped"] == 1
+    text = "1 of the views mapped have a render with a NaN: no mean of scores counts them"
+    assert text in document["warnings"]
+    page = (tmp_path / "run/report.html").read_text()
+    assert text in page
+    assert "Views with a NaN" in page
 
 
 def test_a_camera_too_far_away_is_skipped_by_both_systems(tmp_path, small_room, config):
