@@ -110,6 +110,19 @@ def convert(
         return conversion.finish(name, out)
 
 
+def _without_depth(source: str, depth_m: np.ndarray, scale: float) -> str:
+    """Why no pixel of a depth image can be written."""
+    known = depth_m[depth_m > 0]
+    if not len(known):
+        return f"{source} holds no depth that can be written"
+    middle = float(np.median(known))
+    usual = ", and --depth-scale 1000 if it is in millimetres" if 100 < middle < 20_000 else ""
+    return (
+        f"{source} holds no depth that can be written: the median is {middle:g} m, and the limit of 16 bits "
+        f"{65535 / scale:.1f} m; give --depth-scale, the stored value of one metre{usual}"
+    )
+
+
 def _read_on(recording: Recording, what: str) -> Iterator[RecordedFrame]:
     """The frames; whatever a damaged file leads to becomes one sentence."""
     with parsing(recording.name, what):
@@ -166,7 +179,7 @@ class _Conversion:
         far = stored > 65535
         depth = np.where(far, 0, stored)
         if not depth.any():
-            return self._drop("no depth", f"{frame.source} holds no depth that can be written")
+            return self._drop("no depth", _without_depth(frame.source, rectified.depth_m, self._depth_scale))
         name, lossless = f"{len(self._times):06d}", not images.encoded.startswith(b"\xff\xd8")
         colour = self._folder / f"rgb/{name}{'.png' if lossless else '.jpg'}"
         if rectified.encoded:

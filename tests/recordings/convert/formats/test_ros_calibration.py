@@ -183,6 +183,21 @@ def test_an_uncalibrated_camera_has_no_intrinsics(tmp_path, box):
         convert(path, tmp_path / "out", options=NONE)
 
 
+def test_floating_point_in_millimetres_names_the_option(tmp_path, box):
+    """32FC1 is in metres by the standard, and some drivers publish millimetres."""
+    with Bag(tmp_path / "mm.bag", 1) as bag:
+        for i, T in enumerate(box.poses(2)):
+            rgb, depth_m = box.render(T)
+            bag.info("/cam/camera_info", 1.0 + i, FRAME, box.camera)
+            bag.image("/cam/color", 1.0 + i, FRAME, "rgb8", rgb)
+            bag.image("/cam/depth", 1.0 + i, FRAME, "32FC1", (1000 * depth_m).astype(np.float32))
+    with pytest.raises(SequenceError, match=r"the median is \d+\.?\d* m, .*--depth-scale 1000 if it is in millimetres"):
+        convert(tmp_path / "mm.bag", tmp_path / "out", options=NONE)
+    convert(tmp_path / "mm.bag", tmp_path / "out", options=ConvertOptions(poses="none", depth_scale=1000.0))
+    truth = box.render(box.poses(2)[0])[1]
+    assert np.abs(folder(tmp_path / "out", poses=False)[0].depth_m.numpy() - truth).max() < 6e-4
+
+
 BESIDE = se3.exp(torch.tensor([0.02, 0.003, -0.004, 0.01, -0.015, 0.005], dtype=torch.float64))
 
 
