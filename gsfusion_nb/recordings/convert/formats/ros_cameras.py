@@ -61,51 +61,58 @@ class RosCalibration:
         model = None if options.intrinsics else self._model(infos[colour], colour)
         if options.depth_intrinsics == "colour":
             return RosCameras(model, note="depth is taken as registered to colour (--depth-intrinsics)")
-        depth_model = None if options.depth_intrinsics else self._model(own, depth)
+        if options.depth_intrinsics or options.T_colour_depth:
+            depth_model = None if options.depth_intrinsics else self._model(own, depth)
+            T = None if options.T_colour_depth else self._place(depth, colour)
+            return RosCameras(model, depth_model, T, "depth was registered to colour with the camera of the options")
         if any(word in depth for word in _ALIGNED):
             return RosCameras(model, note="depth is taken as registered to colour (its topic says so)")
+        depth_model = self._model(own, depth)
         if stream_of(colour) and stream_of(depth):
-            return self._of_sdk(model, depth_model, (colour, depth), options)
-        return self._of_frames(model, depth_model, (colour, depth), options)
+            return self._of_sdk(model, depth_model, colour, depth)
+        return self._of_frames(model, depth_model, colour, depth)
 
-    def _of_sdk(
-        self, model: CameraModel | None, own: CameraModel | None, topics: tuple[str, str], options: ConvertOptions
-    ) -> RosCameras:
-        T = self.sdk.transform(topics[1], topics[0])
-        if own is None and not options.depth_intrinsics:
-            raise self._needed("depth_intrinsics", f"is not aligned to colour, and {topics[1]} has no camera_info")
-        if T is None and not options.T_colour_depth:
+    def _place(self, depth: str, colour: str) -> Float[Tensor, "4 4"] | None:
+        """From the camera of depth to that of colour, as the bag says it; None where it does not."""
+        if stream_of(colour) and stream_of(depth):
+            return self.sdk.transform(depth, colour)
+        frames = [self.frames.get(topic, "") for topic in (depth, colour)]
+        if frames[0] == frames[1] or not all(is_frame_name(frame) for frame in frames):
+            return None
+        return self.tree.between(*frames)
+
+    def _of_sdk(self, model: CameraModel | None, own: CameraModel | None, colour: str, depth: str) -> RosCameras:
+        T = self._place(depth, colour)
+        if own is None:
+            raise self._needed("depth_intrinsics", f"is not aligned to colour, and {depth} has no camera_info")
+        if T is None:
             raise self._needed("T_colour_depth", "is not aligned to colour, and the tf of the streams is missing")
-        note = f"depth ({stream_of(topics[1])}) was registered to colour ({stream_of(topics[0])}), as tf says"
+        note = f"depth ({stream_of(depth)}) was registered to colour ({stream_of(colour)}), as tf says"
         return RosCameras(model, own, T, note)
 
-    def _of_frames(
-        self, model: CameraModel | None, own: CameraModel | None, topics: tuple[str, str], options: ConvertOptions
-    ) -> RosCameras:
-        frames = [self.frames.get(topic, "") for topic in topics]
-        equal = own is not None and model is not None and _are_one(own, model)
-        told = all(is_frame_name(frame) for frame in frames)
-        T = self.tree.between(frames[1], frames[0]) if told and frames[0] != frames[1] else None
-        if T is not None and (own is not None or options.depth_intrinsics):
-            note = f"depth ({frames[1]}) was registered to colour ({frames[0]}) by tf_static"
-            return RosCameras(model, own, T, note)
-        if equal:
+    def _of_frames(self, model: CameraModel | None, own: CameraModel | None, colour: str, depth: str) -> RosCameras:
+        of_colour, of_depth = (self.frames.get(topic, "") for topic in (colour, depth))
+        told = is_frame_name(of_colour) and is_frame_name(of_depth)
+        T = self._place(depth, colour)
+        if T is not None and own is not None:
+            return RosCameras(model, own, T, f"depth ({of_depth}) was registered to colour ({of_colour}) by tf_static")
+        if own is not None and model is not None and _are_one(own, model):
             return RosCameras(model, note="depth is taken as registered to colour (the cameras of both are equal)")
-        if told and frames[0] == frames[1]:
-            note = f"depth is taken as registered to colour (both are in the frame {frames[0]})"
+        if told and of_colour == of_depth:
+            note = f"depth is taken as registered to colour (both are in the frame {of_colour})"
             if own is not None:
-                note = f"depth was resampled to colour's camera (both are in the frame {frames[0]})"
+                note = f"depth was resampled to colour's camera (both are in the frame {of_colour})"
             return RosCameras(model, own, note=note)
-        if own is not None or options.depth_intrinsics:
+        if own is not None:
             why = "tf_static lacks it" if told else "the frames of the images have no names"
             note = (
-                f"depth ({frames[1]}) was registered to colour ({frames[0]}) WITHOUT their offset, since {why}; "
+                f"depth ({of_depth}) was registered to colour ({of_colour}) WITHOUT their offset, since {why}; "
                 "--T-colour-depth gives it"
             )
             return RosCameras(model, own, note=note)
         if told:
-            told_frames = f"is in the frame {shown(frames[1])} and colour in {shown(frames[0])}"
-            raise self._needed("depth_intrinsics", f"{told_frames}, and no camera_info tells depth's camera")
+            frames = f"is in the frame {shown(of_depth)} and colour in {shown(of_colour)}"
+            raise self._needed("depth_intrinsics", f"{frames}, and no camera_info tells depth's camera")
         note = (
             "depth is taken as registered to colour, which nothing in the bag says; if it is not, give "
             "--depth-intrinsics and --T-colour-depth"
