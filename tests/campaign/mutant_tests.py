@@ -211,6 +211,7 @@ class Recorder:
 
     def _switch(self, context: str) -> str:
         before, self.context = self.context, context
+        os.environ["MUTANT_CONTEXT"] = context
         self.coverage.switch_context(context)
         return before
 
@@ -219,9 +220,9 @@ class Recorder:
         self._switch(item.nodeid)
         fixtures = item._fixtureinfo.name2fixturedefs.values()
         self.shared[item.nodeid] = [_shared(f[-1]) for f in fixtures if f and f[-1].scope != "function"]
-        before = time.process_time()
+        before = sum(os.times()[:4])  # its own and its processes'
         yield
-        self.seconds[item.nodeid] = time.process_time() - before
+        self.seconds[item.nodeid] = sum(os.times()[:4]) - before
         self._switch("")
 
     @pytest.hookimpl(hookwrapper=True)
@@ -240,15 +241,31 @@ def _shared(fixture: Any) -> str:
     return f"fixture {fixture.baseid} {fixture.argname}"
 
 
+CONFIG = """[run]
+data_file = ${MUTANT_SCRATCH}/coverage
+parallel = true
+source = ${MUTANT_TREE}/gsfusion_nb
+context = ${MUTANT_CONTEXT}
+"""
+"""Of the processes that tests start: what they execute counts for the test that runs."""
+STARTS = "import coverage\n\ncoverage.process_startup()\n"
+"""What each Python process of a test does first."""
+
+
 def _measure(tree: Path, folders: Sequence[str], scratch: Path, file: Path) -> int:
     import coverage
 
+    (scratch / "config").write_text(CONFIG)
+    (scratch / "sitecustomize.py").write_text(STARTS)
+    os.environ |= {"COVERAGE_PROCESS_START": str(scratch / "config"), "MUTANT_CONTEXT": "", "MUTANT_TREE": str(tree)}
+    os.environ["PYTHONPATH"] = f"{scratch}{os.pathsep}{tree}"
     cov = coverage.Coverage(data_file=str(scratch / "coverage"), source=[str(tree / "gsfusion_nb")], messages=False)
     recorder = Recorder(cov)
     cov.erase()
     cov.start()
     code = _pytest(folders, recorder, options=[option for option in OPTIONS if option != "-x"])
     cov.stop()
+    cov.combine(keep=False)
     data, kept = cov.get_data(), [test for test in recorder.seconds if test not in recorder.failed]
     number, users = {test: i for i, test in enumerate(kept)}, defaultdict(list)
     for test in kept:

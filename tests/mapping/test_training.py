@@ -14,9 +14,10 @@ from gsfusion_nb.data.room import room
 from gsfusion_nb.files import SequenceError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GSFusion, get_system, make_mapper
-from gsfusion_nb.mapping.training import KeyframePasses
-from gsfusion_nb.optim import ViewLoss, l1_mse_vjp
+from gsfusion_nb.mapping.training import KeyframePasses, Training
+from gsfusion_nb.optim import TrainingView, ViewLoss, l1_mse_vjp
 from gsfusion_nb.optim.adam import BETA1, BETA2, EPS, adam_update
+from gsfusion_nb.types import Camera, RenderOutput
 
 SMALL: dict[str, Any] = {"data__width": 40, "data__height": 30, "data__stop": 6}
 SYSTEMS = {
@@ -263,3 +264,71 @@ def test_the_mean_motion_is_taken_back_from_map_and_keyframes(walk):
     torch.testing.assert_close(mapper.gaussians.params.xyz_W, xyz_W, atol=1e-5, rtol=0)
     for k in mapper.keyframes:
         torch.testing.assert_close(k.T_WC, frames[k.index].T_WC, atol=1e-5, rtol=0)
+
+
+def keeps_its_own(param, gradient, m, v, steps, *, lr):
+    param = param - lr * gradient
+
+
+def divides_by_zero(param, gradient, m, v, steps, *, lr):
+    param -= lr * gradient / m
+
+
+def gives_back(param, gradient, m, v, steps, *, lr):
+    param -= lr * gradient
+    return param
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "sentence"),
+    [
+        ({"loss": torch.nn.L1Loss}, TypeError, "loss must be a function, got .*L1Loss"),
+        ({"optimiser": torch.optim.Adam}, TypeError, "optimiser must be a function, got .*Adam"),
+        ({"optimiser": gives_back}, TypeError, "'gives_back' must change param in place and return nothing, got"),
+        ({"optimiser": keeps_its_own}, ValueError, r"'keeps_its_own' must change param in place \(param -= "),
+        ({"optimiser": divides_by_zero}, ValueError, "'divides_by_zero' makes NaN or infinity from a gradient of 1"),
+    ],
+)
+def test_functions_that_cannot_train_are_refused(given, error, sentence):
+    with pytest.raises(error, match=sentence):
+        Training(**given)
+
+
+PICTURE = RenderOutput(
+    rgb=torch.zeros(2, 3, 3),
+    depth_m=torch.ones(2, 3),
+    alpha=torch.ones(2, 3),
+    first_index=None,
+    dominant_index=None,
+)
+
+
+@pytest.mark.parametrize(
+    ("returned", "error", "sentence"),
+    [
+        (0.5, TypeError, r"loss 'own' must return a ViewLoss \(gsfusion_nb.optim\), got 0.5"),
+        ({"value": torch.zeros(1)}, ValueError, r"value of the loss 'own' must be \[\], got \[1\]"),
+        ({"v_rgb": torch.zeros(3, 2, 3)}, ValueError, r"v_rgb of the loss 'own' must be \[2, 3, 3\], got \[3, 2, 3\]"),
+        ({"v_rgb": torch.full((2, 3, 3), torch.nan)}, ValueError, "v_rgb of the loss 'own' must be finite, got 18 NaN"),
+        ({"v_depth_m": torch.full((2, 3), torch.inf)}, ValueError, "v_depth_m of the loss 'own' must be finite"),
+        ({"v_depth_m": torch.zeros(2, 3)}, ValueError, "'own' returned v_depth_m, but this system's depth has no"),
+    ],
+)
+def test_what_a_loss_must_return(returned, error, sentence):
+    def own(rendered, view):
+        if not isinstance(returned, dict):
+            return returned
+        found = ViewLoss(value=torch.zeros(()), v_rgb=torch.zeros(2, 3, 3))
+        for name, value in returned.items():  # past the type check of ViewLoss, which is off outside the tests
+            object.__setattr__(found, name, value)
+        return found
+
+    view = TrainingView(
+        rgb=torch.zeros(2, 3, 3),
+        depth_m=torch.zeros(2, 3),
+        camera=Camera(width=3, height=2, fx=1.0, fy=1.0, cx=1.5, cy=1.0),
+        T_WC=torch.eye(4),
+        pixels=torch.ones(2, 3, dtype=torch.bool),
+    )
+    with pytest.raises(error, match=sentence):
+        Training(own).view_loss(PICTURE, view, with_depth=False)

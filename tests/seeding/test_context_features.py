@@ -108,3 +108,25 @@ def test_raycast_shows_the_volume_with_the_frame_in_it(small_walk):
     assert torch.equal(preview.depth_m, after.depth_m)
     assert torch.equal(after.normal_W, raycast(volume, now.camera, now.T_WC).normal_W)
     assert (after.depth_m > 0).float().mean() > 0.5
+
+
+@pytest.mark.parametrize("window_px", [0, 2, -1])
+def test_directions_need_a_window_with_a_middle(window_px):
+    with pytest.raises(ValueError, match=f"window_px must be odd and at least 1, got {window_px}"):
+        square().edge_direction(window_px)
+
+
+@pytest.mark.parametrize(
+    ("ask", "sentence"),
+    [
+        (lambda ctx: ctx.voxel_weight(torch.zeros(1, 3)), "voxel_weight needs a TSDF volume, .* pass volume="),
+        (lambda ctx: ctx.surface(), "surface.* needs a Gaussian map, .* pass gaussians="),
+        (lambda ctx: ctx.quadtree_cells(depth=1), r"unknown settings \['depth'\]; known: \['contrast', 'min_cell_px'"),
+        (lambda ctx: ctx.quadtree_cells(contrast="mean"), "contrast must be 'released' or 'std', got 'mean'"),
+        (lambda ctx: ctx.quadtree_cells(min_cell_px=0), "min_cell_px must be >= 1, got 0"),
+        (lambda ctx: ctx.quadtree_cells(threshold=-0.1), "threshold must be >= 0, got -0.1"),
+    ],
+)
+def test_a_context_says_what_it_lacks(ask, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        ask(SeedContext(frame()))

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+import inspect
 from typing import Literal
 
 import pytest
@@ -21,6 +22,7 @@ from gsfusion_nb.seeding import (
     seeding_rule,
     trained_otherwise,
 )
+from gsfusion_nb.seeding.rules import gaussian_slam
 
 
 @pytest.fixture
@@ -178,3 +180,20 @@ def test_a_rule_made_from_a_marked_one_is_not_marked():
 
     assert published_training(mine) == ""
     assert published_training(trained_otherwise("by hand")(mine)) == "by hand"
+
+
+@pytest.mark.parametrize(
+    ("register", "given", "sentence"),
+    [
+        (seeding_rule, 3, "@seeding_rule decorates a function, got int; write it without parentheses"),
+        (get_rule, 3, "a seeding rule is a name or a function, got int"),
+        (
+            get_rule,
+            gaussian_slam(),
+            r"pass the class gaussian_slam itself as the seeding rule, .* seeding__options={...}",
+        ),
+    ],
+)
+def test_what_is_no_rule(register, given, sentence):
+    with pytest.raises(TypeError, match=sentence):
+        inspect.unwrap(register)(given)  # past the type check, which is off outside the tests
