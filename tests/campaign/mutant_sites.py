@@ -28,8 +28,9 @@ OTHERS = (
 
 PRODUCTS = ("arith_expr", "term", "expr", "xor_expr", "and_expr", "shift_expr", "power", "operator")
 """What a binary operator is part of; a star in a list of arguments is not."""
-CONTENT = tuple(f"gsfusion_nb/data/room/{name}.py" for name in ("drawings", "furniture", "interior"))
-"""What the built-in room looks like: with another number it is another room, and none is right."""
+CONTENT = tuple(f"gsfusion_nb/data/room/{name}.py" for name in ("drawings", "furniture", "interior", "scene", "camera"))
+"""What the built-in room looks like and how one walks through it: with another number it is another room, and none is
+right."""
 
 
 class RemoveStatement(Operator):

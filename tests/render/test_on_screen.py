@@ -7,7 +7,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.render import footprints, project_gaussians, render, rows_in_view
+from gsfusion_nb.render import footprints, project_gaussians, render, render_forward, rows_in_view
 from gsfusion_nb.types import Camera, GaussianParams
 
 CAMERA = Camera(width=40, height=30, fx=100.0, fy=100.0, cx=20.0, cy=15.0)
@@ -104,3 +104,29 @@ def test_the_picture_does_not_change_without_the_others(generator, backend, dtyp
     off = (every - few).abs()
     assert float(off.max()) < (1e-7 if dtype == torch.float64 else 1 / 255 + 1e-4)
     assert float((off > (1e-7 if dtype == torch.float64 else 1e-4)).double().mean()) < 1e-3
+
+
+def test_what_was_blended_at_a_pixel_gives_its_colour(generator):
+    """The sum of w_k c_k over the list of a tile is the picture, and alpha and T are those of w_k."""
+    n = 60
+    params = gaussians((torch.rand(n, 3, generator=generator) * torch.tensor([1.0, 0.8, 1.0])).tolist(), scale=0.05)
+    params.xyz_W.add_(torch.tensor([-0.5, -0.4, 1.5]))
+    params.sh.copy_(torch.rand(n, 1, 3, generator=generator))
+    with use_backend("reference"):
+        output, saved = render_forward(params, CAMERA, torch.eye(4))
+    screen = saved.screen
+    places = {row: screen.tiles_with(row) for row in range(n)}
+    longest = 0
+    for tile in range(screen.tiles.tiles_x * screen.tiles.tiles_y):
+        x, y = screen.pixels_of(tile, CAMERA)
+        assert {screen.tile_of(int(u), int(v)) for u, v in zip(x, y, strict=True)} == {tile}
+        blend = screen.blend(tile, x, y)
+        longest = max(longest, len(blend.gaussian))
+        assert blend.weight.shape == (len(blend.gaussian), len(x))
+        torch.testing.assert_close(blend.weight.T @ screen.rgb[blend.gaussian], output.rgb[y, x], atol=1e-6, rtol=1e-5)
+        kept = blend.weight > 0
+        torch.testing.assert_close(blend.weight[kept], (blend.alpha * blend.transmittance)[kept])
+        for place, row in enumerate(blend.gaussian.tolist()):
+            assert (tile, place) in places[row]
+    assert longest > 5
+    assert sum(map(len, places.values())) == int(screen.tiles.offset[-1])

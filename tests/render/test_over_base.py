@@ -9,7 +9,7 @@ from three_gaussians import three_gaussians
 from gsfusion_nb.geometry.spherical_harmonics import SH_C0
 from gsfusion_nb.render import Base, render_over_base, render_over_base_vjp
 from gsfusion_nb.render.composite import pixel_offsets, splat_alpha, splat_alpha_vjp
-from gsfusion_nb.render.over_base import blend_with_base, blend_with_base_vjp
+from gsfusion_nb.render.over_base import base_view, blend_with_base, blend_with_base_vjp, enlarge, fill
 from gsfusion_nb.types import Camera, GaussianParams
 
 BEHIND_M = 0.1
@@ -134,3 +134,75 @@ def test_the_gradient_is_that_of_autograd_on_the_formula(scene, generator):
     torch.testing.assert_close(out.rgb.flatten(0, 1), C.detach())
     for name, g, e in zip(scene.columns, columns(render_over_base_vjp(saved, v_rgb)), expected, strict=True):
         torch.testing.assert_close(g, e, atol=1e-9, rtol=1e-8, msg=lambda m, name=name: f"{name}: {m}")
+
+
+def test_holes_are_filled_by_halving_and_interpolating_by_hand():
+    """A row a ? ? b: halved it is a b, halved again (a + b) / 2; going back up nothing of a b is missing, and the two
+    pixels in the middle lie at a quarter and three quarters of the way."""
+    row = torch.tensor([[[1.0, 8.0], [0.0, 0.0], [0.0, 0.0], [3.0, 0.0]]])
+    known = torch.tensor([[True, False, False, True]])
+    filled = fill(row, known)
+    assert filled[0, :, 0].tolist() == pytest.approx([1.0, 1.5, 2.5, 3.0])
+    assert filled[0, :, 1].tolist() == pytest.approx([8.0, 6.0, 2.0, 0.0])
+    assert not fill(row, torch.zeros_like(known)).any()
+    one = torch.zeros(5, 7, dtype=torch.bool)
+    one[3, 2] = True
+    torch.testing.assert_close(fill(torch.full((5, 7, 1), 0.3), one), torch.full((5, 7, 1), 0.3))
+
+
+def test_enlarging_one_surface_is_bilinear(generator):
+    """9/16, 3/16, 3/16 and 1/16 are what PyTorch's interpolation takes; the border is repeated."""
+    image = torch.rand(5, 7, 4, generator=generator)
+    image[..., 3] = 2 + 0.001 * image[..., 3]
+    large, known = enlarge(image, torch.ones(5, 7, dtype=torch.bool), (9, 14))
+    chw = image.permute(2, 0, 1)[None]
+    expected = torch.nn.functional.interpolate(chw, scale_factor=2, mode="bilinear", align_corners=False)
+    torch.testing.assert_close(large, expected[0].permute(1, 2, 0)[:9])
+    assert known.shape == (9, 14)
+    assert known.all()
+
+
+@pytest.mark.parametrize("edge", ["depth", "known"])
+def test_colours_do_not_run_over_an_edge(edge):
+    """Left of column 3 red, right of it blue: another surface, or one that is not known."""
+    image = torch.zeros(4, 6, 4)
+    image[:, :3, 0] = image[:, 3:, 2] = 1.0
+    image[..., 3] = 2.0
+    known = torch.ones(4, 6, dtype=torch.bool)
+    if edge == "depth":
+        image[:, 3:, 3] = 2.5
+    else:
+        known[:, 3:] = False
+    large, large_known = enlarge(image, known, (8, 12))
+    torch.testing.assert_close(large, image.repeat_interleave(2, 0).repeat_interleave(2, 1))
+    assert torch.equal(large_known, known.repeat_interleave(2, 0).repeat_interleave(2, 1))
+
+
+@pytest.mark.parametrize(
+    ("holes", "colour", "weight"), [("filled", 0.8, 1.0), ("black", 0.0, 1.0), ("gaussians", 0.0, 0.0)]
+)
+def test_a_hole_in_the_base_is_what_was_asked_for(holes, colour, weight):
+    depth_m = torch.full((4, 4), 2.0)
+    depth_m[1, 2] = 0.0
+    view = base_view(torch.full((4, 4, 3), 0.8), depth_m, (4, 4), holes, 0.05)
+    hole = torch.zeros(4, 4, dtype=torch.bool)
+    hole[1, 2] = True
+    torch.testing.assert_close(view.base.rgb, torch.where(hole[..., None], colour, 0.8).expand(-1, -1, 3))
+    torch.testing.assert_close(view.base.weight, torch.where(hole, weight, 1.0))
+    assert torch.equal(view.base.depth_m, depth_m)
+    torch.testing.assert_close(view.depth_everywhere_m, torch.full((4, 4), 2.0))
+    assert view.behind_m == 0.05
+
+
+@pytest.mark.parametrize(
+    ("size", "holes", "behind_m", "sentence"),
+    [
+        ((4, 5), "black", 0.0, r"as large as the picture \(4, 5\) or half of it, got \(4, 4\)"),
+        ((9, 8), "black", 0.0, r"as large as the picture \(9, 8\) or half of it, got \(4, 4\)"),
+        ((4, 4), "white", 0.0, "holes must be one of filled, black, gaussians, got 'white'"),
+        ((4, 4), "black", -0.1, "behind_m must be >= 0, got -0.1"),
+    ],
+)
+def test_a_base_that_does_not_fit_is_refused(size, holes, behind_m, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        base_view(torch.zeros(4, 4, 3), torch.ones(4, 4), size, holes, behind_m)

@@ -3,7 +3,8 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.render import project_gaussians, tile_intersections
+from gsfusion_nb.render import Projection, project_gaussians, tile_intersections
+from gsfusion_nb.types import Camera
 
 
 def touching_pairs(projection, camera, tile_px):
@@ -58,3 +59,54 @@ def test_nothing_to_list(scene, generator):
         lists = tile_intersections(nothing, scene.camera)
         assert len(lists.gaussian) == 0
         assert (lists.offset == 0).all()
+
+
+def two_boxes() -> Projection:
+    """In an image of 20 x 12: one Gaussian in the middle of the first tile of 8 pixels, the other over the corner of
+    four tiles, and nearer."""
+    return Projection(
+        uv=torch.tensor([[4.0, 4.0], [8.0, 8.0]]),
+        depth_m=torch.tensor([2.0, 1.0]),
+        conic=torch.tensor([[1.0, 0.0, 1.0]] * 2),
+        extent_px=torch.tensor([[2.0, 2.0]] * 2),
+        opacity=torch.tensor([0.5, 0.5]),
+        visible=torch.tensor([True, True]),
+    )
+
+
+CAMERA = Camera(width=20, height=12, fx=20.0, fy=20.0, cx=10.0, cy=6.0)
+
+
+def test_lists_and_pixels_of_tiles_by_hand():
+    lists = tile_intersections(two_boxes(), CAMERA, tile_px=8)
+    assert (lists.tiles_x, lists.tiles_y) == (3, 2)
+    assert [lists.gaussians_of(tile).tolist() for tile in range(6)] == [[1, 0], [1], [], [1], [1], []]
+    rows, columns = lists.pixels_of(5, CAMERA)  # the last tile is cut by the image: 4 x 4 pixels
+    assert sorted(zip(rows.tolist(), columns.tolist(), strict=True)) == [
+        (row, column) for row in range(8, 12) for column in range(16, 20)
+    ]
+    drawn = torch.zeros(12, 20, dtype=torch.bool)
+    drawn[9, 17] = drawn[3, 3] = True
+    some = tile_intersections(two_boxes(), CAMERA, tile_px=8, pixels=drawn)
+    assert [x.tolist() for x in some.pixels_of(5, CAMERA)] == [[9], [17]]
+    assert [some.gaussians_of(tile).tolist() for tile in range(6)] == [[1, 0], [], [], [], [], []]
+
+
+@pytest.mark.parametrize(
+    ("change", "n", "sentence"),
+    [
+        ({"tiles_x": 2}, 2, "tiles must be 3 x 2 for this camera, got 2 x 2"),
+        ({"tiles_y": 3}, 2, "tiles must be 3 x 2 for this camera, got 3 x 3"),
+        ({}, 1, "tiles must name rows of the 1 Gaussians, got 1; are they of another map"),
+    ],
+)
+def test_lists_of_another_picture_are_refused(change, n, sentence):
+    lists = dataclasses.replace(tile_intersections(two_boxes(), CAMERA, tile_px=8), **change)
+    with pytest.raises(ValueError, match=sentence):
+        lists.check(n, CAMERA)
+
+
+@pytest.mark.parametrize("tile_px", [0, -8])
+def test_tiles_without_pixels_are_refused(tile_px):
+    with pytest.raises(ValueError, match=f"tile_px must be a whole number of at least 1, got {tile_px}"):
+        tile_intersections(two_boxes(), CAMERA, tile_px=tile_px)
