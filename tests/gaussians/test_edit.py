@@ -290,6 +290,22 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"relocate": (torch.tensor([1]), torch.tensor([2])), "keep": ~mask(6, 2)}, "row 2 is both moved to and removed"),
     ({"add": Seeds.isotropic(torch.full((1, 3), torch.inf), torch.ones(1, 3), SIX[:1])}, "add: xyz_W"),
     ({"add": Seeds.isotropic(torch.ones(1, 3), torch.ones(1, 3), 0 * SIX[:1])}, "add: scale_m"),
+    ({"add": Seeds.isotropic(torch.ones(1, 3), torch.full((1, 3), torch.nan), SIX[:1])}, "add: rgb must be finite"),
+    ({"add": Seeds.isotropic(torch.ones(1, 3), torch.ones(1, 3), SIX[:1], opacity=1.0)}, "add: opacity must lie str"),
+    ({"add": Seeds.isotropic(torch.ones(1, 3), torch.ones(1, 3), SIX[:1], opacity=0.0)}, "add: opacity must lie str"),
+    ({"rates": {"xyz_W": torch.full((6,), torch.inf)}}, "rates: xyz_W must be finite floats"),
+    ({"rates": {"xyz_W": torch.ones(6, dtype=torch.int64)}}, "rates: xyz_W must be finite floats"),
+    ({"set": {"xyz_W": [mask(6, 1), torch.ones(1, 3)]}}, "xyz_W must be a pair .* of tensors, got list"),
+    ({"set": {"sh": (mask(6, 1), torch.ones(1, 3))}}, r"set: sh must be \[1, 4, 3\]"),
+    ({"set": {"opacity": (mask(6, 1), torch.zeros(1))}}, "set: opacity must be between 0.0 and 1.0, got 0"),
+    ({"set": {"rgb": (mask(6, 1), torch.full((1, 3), -0.1))}}, "set: rgb must be between 0.0 and 1.0, got -0.1"),
+    ({"set": {"xyz_W": (mask(6, 1), torch.ones(1, 3, dtype=torch.int64))}}, "xyz_W must not be torch.int64"),
+    ({"set": {"opacity": (torch.tensor([-1]), SIX[:1] / 2)}}, "rows of opacity: rows must be between 0 and 5"),
+    ({"clone": torch.ones(1, 1, dtype=torch.int64)}, "clone must be row numbers"),
+    ({"split": mask(6, 3), "keep": ~mask(6, 3)}, "row 3 is both split and removed"),
+    ({"relocate": (torch.tensor([1]), torch.tensor([2])), "keep": ~mask(6, 1)}, "row 1 is both relocated and removed"),
+    ({"relocate": torch.tensor([1, 2])}, "relocate must be a pair of row numbers"),
+    ({"relocate": (torch.tensor([1]), torch.tensor([7]))}, "relocate: rows must be between 0 and 5, got 7 to 7"),
 ]
 
 
@@ -442,3 +458,34 @@ def test_grow_as_the_default_strategy_does(ops, pair):
     ops.split(params, optimisers, {}, torch.cat([rows_of(3, 7), torch.zeros(2, dtype=torch.bool)]))
     ops.remove(params, optimisers, {}, torch.arange(len(params["means"])) == 0)
     assert_same(model, params, optimisers)
+
+
+@pytest.mark.parametrize(("state", "refused"), [(-1, True), (0, False), (1, False), (2, True)])
+def test_a_state_is_one_of_two(generator, state, refused):
+    model = filled(generator, kind=SurfelModel)
+    edit = Edit(set={"state": (mask(6, 1), torch.tensor([state], dtype=torch.int32))})
+    if refused:
+        with pytest.raises(ValueError, match=f"set: state must be between 0 and 1, got {state}"):
+            model.edit(edit, generator)
+    else:
+        model.edit(edit, generator)
+        assert int(model.state[1]) == state
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"reset_opacity": 0.5},
+        {"relocate": (torch.tensor([0]), torch.tensor([1]))},
+        {"clone": mask(6, 1)},
+        {"split": mask(6, 1)},
+        {"add": Seeds.isotropic(torch.ones(1, 3), torch.ones(1, 3), SIX[:1])},
+        {"keep": mask(6, 1)},
+        {"rates": {"xyz_W": SIX}},
+        {"set": {"rgb": (mask(6, 1), torch.ones(1, 3))}},
+    ],
+    ids=lambda fields: next(iter(fields)),
+)
+def test_an_edit_asks_for_something_if_any_field_does(fields):
+    assert bool(Edit(**fields))
+    assert not Edit(min_opacity=0.1, clone_shares=True, split_shares=True)

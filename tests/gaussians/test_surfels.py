@@ -16,11 +16,13 @@ from gsfusion_nb.gaussians import (
     Transitions,
     change_states,
     count_errors,
+    count_views,
     radius_of,
+    state_counts,
 )
 from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.geometry.spherical_harmonics import sh_basis
-from gsfusion_nb.types import Seeds
+from gsfusion_nb.types import Camera, Seeds
 
 COUNTERS = ("state", "confidence", "colour_errors", "depth_errors")
 
@@ -283,3 +285,50 @@ def test_depth_errors_of_one_side():
     # measured minus rendered: positive where the model stands in front of the measurement
     count_errors(model, *images([0.0, 0.0], [0, 1], [-0.5, 0.5], [0, 1]), one_sided)
     assert model.depth_errors.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("some", [False, True])
+def test_a_view_is_counted_where_the_centre_is_in_the_image(some):
+    """Camera of 40 x 20 pixels with f = 20: at z = 2 the image reaches from -2 to 2 and from -1 to 1 metre, at
+    z = -2 it would be the same. The camera stands at x = 5 and looks along its z axis."""
+    camera = Camera(width=40, height=20, fx=20.0, fy=20.0, cx=20.0, cy=10.0)
+    T_WC = torch.eye(4)
+    T_WC[0, 3] = 5.0
+    inside = [(0.0, 0.0, 2.0), (-1.99, 0.0, 2.0), (1.99, 0.0, 2.0), (0.0, -0.99, 2.0), (0.0, 0.99, 2.0)]
+    outside = [(-2.01, 0.0, 2.0), (2.01, 0.0, 2.0), (0.0, -1.01, 2.0), (0.0, 1.01, 2.0), (0.0, 0.0, -2.0)]
+    border = [(-2.0, 0.0, 2.0), (2.0, 0.0, 2.0), (0.0, -1.0, 2.0), (0.0, 1.0, 2.0)]
+    model = surfels(14)
+    model.params.xyz_W.copy_(torch.tensor([*inside, *outside, *border]) + T_WC[:3, 3])
+    model.frames_in_view.fill_(3)
+    asked = torch.tensor([1, 6, 0]) if some else None
+    count_views(model, camera, T_WC, asked)
+    seen = [0, 1] if some else range(5)
+    assert model.frames_in_view.tolist() == [4 if row in seen else 3 for row in range(14)]
+
+
+def test_discs_of_another_program_are_refused():
+    with pytest.raises(ValueError, match=r"RTG-SLAM cannot begin with Gaussians of another program, .* use --system"):
+        surfels(1).extend(surfels(1).params)
+
+
+def test_states_are_counted_by_state_and_kind():
+    model = surfels(6, stable=(0, 1, 2, 3))
+    model.params.opacity_logit[torch.tensor([1, 2, 3, 5])] = -2.0
+    assert state_counts(model) == {
+        "stable_opaque": 1,
+        "stable_transparent": 3,
+        "unstable_opaque": 1,
+        "unstable_transparent": 1,
+    }
+
+
+def test_a_new_state_starts_its_counts_again():
+    model = surfels(4, stable=(0, 1), now=9)
+    for name in ("confidence", "colour_errors", "depth_errors", "frames_in_view"):
+        getattr(model, name).fill_(7)
+    change = torch.tensor([1, 2]), torch.tensor([UNSTABLE, STABLE], dtype=model.state.dtype)
+    model.set_rows("state", *change)
+    assert model.state.tolist() == [STABLE, UNSTABLE, STABLE, UNSTABLE]
+    assert model.colour_errors.tolist() == model.depth_errors.tolist() == [7, 0, 0, 7]
+    assert model.confidence.tolist() == model.frames_in_view.tolist() == [7, 0, 7, 7]
+    assert model.birth_step.tolist() == [0, 9, 0, 0]
