@@ -9,7 +9,9 @@ from gsfusion_nb.evaluation import (
     NotComputed,
     centres_to_own_mesh,
     cull_unseen,
+    disc_scores,
     mesh_scores,
+    sample_discs,
     sample_surface,
     seen_by,
 )
@@ -215,3 +217,63 @@ def test_without_centres_or_mesh_the_own_distance_says_why(generator, xyz, size_
     found = centres_to_own_mesh(gaussians_at(points), wall, generator=generator)
     assert isinstance(found, NotComputed)
     assert word in found.reason
+
+
+def discs(*rows):
+    """Discs of these centres, standard deviations and opacities, their axes those of the world."""
+    xyz, scale_m, opacity = (torch.tensor(column, dtype=torch.float64) for column in zip(*rows, strict=True))
+    n = len(rows)
+    quat = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).expand(n, 4).clone()
+    return GaussianParams(
+        xyz_W=xyz, log_scale=scale_m.log(), quat=quat, opacity_logit=opacity.logit(), sh=xyz.new_zeros(n, 1, 3)
+    )
+
+
+def test_points_are_spread_evenly_over_opaque_discs(generator):
+    """Areas 2 x 1 and 1 x 0.5 times pi, so four of five points are on the first. Of a uniform ellipse the mean square
+    along each axis is a quarter of its semi-axis squared, and no point is outside. The third disc is transparent."""
+    first = ([0.0, 0, 0], [0.2, 0.001, 0.1], 0.9)
+    second = ([5.0, 0, 0], [0.001, 0.1, 0.05], 0.6)
+    third = ([9.0, 0, 0], [1.0, 1.0, 0.001], 0.4)
+    points = sample_discs(discs(first, second, third), 20_000, generator)
+    on_first = points[:, 0] < 2
+    assert float(on_first.double().mean()) == pytest.approx(0.8, abs=0.01)
+    assert float(points[:, 0].max()) < 6
+    for at, centre, sizes in ((on_first, first[0], (0.2, 0.0, 0.1)), (~on_first, second[0], (0.0, 0.1, 0.05))):
+        away = points[at] - torch.tensor(centre, dtype=torch.float64)
+        assert away.square().mean(0).tolist() == pytest.approx([s**2 / 4 for s in sizes], rel=0.05, abs=1e-12)
+        axes = torch.tensor(sizes, dtype=torch.float64)
+        assert (away[:, axes > 0] / axes[axes > 0]).norm(dim=1).max() <= 1
+    assert sample_discs(discs(third), 10, generator).shape == (0, 3)
+
+
+def test_discs_in_front_of_a_wall_in_closed_form(generator):
+    """A disc of 5 cm before the middle of a wall of one metre, 2 cm away: it is accurate to 2 cm, and the wall is
+    covered where it is less than 3 cm from the disc, so within 5 + sqrt(9 - 4) cm of the middle."""
+    disc = discs(([0.5, 0.5, 0.02], [0.05, 0.05, 0.001], 0.9))
+    scores = disc_scores(disc, square(), generator=generator, n_samples=100_000)
+    assert isinstance(scores, dict)
+    assert scores["accuracy_m"] == pytest.approx(0.02, rel=0.02)
+    assert scores["precision"] == 1.0
+    covered = math.pi * (0.05 + math.sqrt(0.03**2 - 0.02**2)) ** 2
+    assert scores["completion_ratio"] == pytest.approx(covered, rel=0.05)
+    assert scores["f_score"] == pytest.approx(2 * covered / (1 + covered), rel=0.05)
+    assert scores["threshold_m"] == 0.03
+    faint = discs(([0.5, 0.5, 0.02], [0.05, 0.05, 0.001], 0.1))
+    assert disc_scores(faint, square(), generator=generator) == NotComputed("the map has no opaque Gaussian")
+
+
+def test_the_image_ends_at_its_borders():
+    """40 x 30 pixels, f = 40, at 2 m: from -1 to 1 and from -0.75 to 0.75 metres."""
+    xyz = [[-0.999, 0, 2], [0.999, 0, 2], [0, -0.749, 2], [0, 0.749, 2], [-1.001, 0, 2], [1.001, 0, 2], [0, -0.751, 2]]
+    seen = seen_by(torch.tensor([*xyz, [0, 0.751, 2]]), [front_frame(torch.full((30, 40), 2.0))])
+    assert seen.tolist() == [True] * 4 + [False] * 4
+
+
+def test_a_face_is_kept_by_its_middle_alone():
+    """All corners of a large triangle are outside of the image, its centroid is in the middle of it."""
+    large = mesh_of([[-3.0, -2.0, 2.0], [3.0, -2.0, 2.0], [0.0, 4.0, 2.0]], [[0, 1, 2]])
+    frame = front_frame(torch.full((30, 40), 2.0))
+    assert len(cull_unseen(large, [frame]).faces) == 1
+    aside = mesh_of(large.vertices_W + torch.tensor([4.0, 0.0, 0.0]), large.faces)
+    assert len(cull_unseen(aside, [frame]).faces) == 0

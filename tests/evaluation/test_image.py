@@ -24,6 +24,7 @@ from gsfusion_nb.evaluation import (
     ssim_as_released,
 )
 from gsfusion_nb.evaluation import image as image_module
+from gsfusion_nb.evaluation.metrics import METRICS, format_value
 from gsfusion_nb.types import Camera, Frame, Mesh, RenderOutput
 
 
@@ -309,3 +310,65 @@ def test_both_frame_rates_by_hand():
     assert rates["fps_mean_inverse"] == pytest.approx((10 + 2.5) / 2)
     assert isinstance(frame_rates([])["fps_total"], NotComputed)
     assert isinstance(frame_rates([0.1, 0.0])["fps_mean_inverse"], NotComputed)
+
+
+UNITS = {
+    "_db": ("dB", 1.0),
+    "_m": ("cm", 100.0),
+    "_mb": ("MB", 1.0),
+    "_deg": ("°", 1.0),
+    "fps_": ("frames/s", 1.0),
+    "seconds_": ("s", 1.0),
+    "n_": ("", 1.0),
+    "ssim_": ("", 1.0),
+    "lpips_": ("", 1.0),
+    "_precision": ("%", 100.0),
+    "_completion_ratio": ("%", 100.0),
+    "_f_score": ("", 1.0),
+    "_share": ("%", 100.0),
+}
+"""How a name begins or ends -> unit that is shown, and by what the number is multiplied for it."""
+
+
+def test_a_metric_is_shown_in_the_unit_of_its_name():
+    found = {}
+    for name in METRICS:
+        units = {of for part, of in UNITS.items() if name.startswith(part) or name.endswith(part)}
+        number, *unit = format_metric(name, 0.25).replace("°", "\u00a0°").split("\u00a0")
+        if units and unit != ["frames"]:  # a count of frames says so
+            digits = len(number.partition(".")[2])
+            [(wanted, factor)] = units
+            found[name] = "".join(unit) == wanted and abs(float(number) - 0.25 * factor) <= 0.501 * 10**-digits
+    assert len(found) > 50
+    assert [name for name, fits in found.items() if not fits] == []
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (True, "yes"),
+        (False, "no"),
+        (12345, "12,345"),
+        (0.000123456, "0.0001235"),
+        ([1, 0.5, True], "1, 0.5, yes"),
+        ("a", "a"),
+    ],
+)
+def test_a_setting_as_text(value, text):
+    assert format_value(value) == text
+    assert format_metric("something_new", value) == text
+
+
+@pytest.mark.parametrize(("side", "enough"), [(5, False), (6, True)])
+def test_ssim_needs_half_a_window(side, enough):
+    """11 x 11 pixels, of which five may be mirrored."""
+    picture = torch.rand(side, 20, 3, generator=torch.Generator().manual_seed(0))
+    if enough:
+        assert ssim(picture, picture) == pytest.approx(1.0)
+    else:
+        with pytest.raises(ValueError, match=r"at least 6 pixels high and wide for an 11x11 window, got \[5, 20, 3\]"):
+            ssim(picture, picture)
+    [row] = score_views(
+        lambda camera, T_WC: view_of(picture, torch.ones(side, 20)), [frame_of(0, picture, torch.ones(side, 20))]
+    ).rows
+    assert math.isnan(row.ssim) != enough
