@@ -251,7 +251,7 @@ def test_discs_in_front_of_a_wall_in_closed_form(generator):
     """A disc of 5 cm before the middle of a wall of one metre, 2 cm away: it is accurate to 2 cm, and the wall is
     covered where it is less than 3 cm from the disc, so within 5 + sqrt(9 - 4) cm of the middle."""
     disc = discs(([0.5, 0.5, 0.02], [0.05, 0.05, 0.001], 0.9))
-    scores = disc_scores(disc, square(), generator=generator, n_samples=100_000)
+    scores = disc_scores(disc, square(), generator=generator, n_samples=30_000)
     assert isinstance(scores, dict)
     assert scores["accuracy_m"] == pytest.approx(0.02, rel=0.02)
     assert scores["precision"] == 1.0

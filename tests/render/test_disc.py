@@ -278,3 +278,13 @@ def test_an_empty_map():
     assert view.hit_index.eq(-1).all()
     for field in dataclasses.fields(view):
         assert torch.isfinite(getattr(view, field.name)).all()
+
+
+def test_a_gradient_of_another_size_is_refused():
+    with pytest.raises(ValueError, match=r"v_depth_m must be \[9, 33\], got \[9, 32\]"):
+        disc_depth_vjp(leaning_disc(30), CAMERA, EYE, everywhere(), torch.zeros(9, 32, dtype=torch.float64))
+
+
+def test_a_hit_of_another_map_is_refused():
+    with pytest.raises(ValueError, match="hit_index must name rows of the 1 Gaussians, got 1; take the hit_index"):
+        disc_depth(leaning_disc(30), CAMERA, EYE, everywhere() + 1)

@@ -206,3 +206,41 @@ def test_a_hole_in_the_base_is_what_was_asked_for(holes, colour, weight):
 def test_a_base_that_does_not_fit_is_refused(size, holes, behind_m, sentence):
     with pytest.raises(ValueError, match=sentence):
         base_view(torch.zeros(4, 4, 3), torch.ones(4, 4), size, holes, behind_m)
+
+
+def test_only_rows_that_are_asked_for_have_a_gradient():
+    params, camera, T_WC, base, target = three_gaussians(torch.float64)
+    out, saved = render_over_base(params, camera, T_WC, base, behind_m=BEHIND_M)
+    v_rgb = (out.rgb - target).sign()
+    rows = torch.tensor([True, False, True])
+    v_uv, v_uv_some = torch.zeros(3, 2, dtype=torch.float64), torch.full((3, 2), torch.nan, dtype=torch.float64)
+    everything = render_over_base_vjp(saved, v_rgb, v_uv=v_uv)
+    some = render_over_base_vjp(saved, v_rgb, rows=rows, v_uv=v_uv_some)
+    pairs = [*zip(columns(everything), columns(some), strict=True), (v_uv, v_uv_some)]
+    for whole, part in pairs:
+        assert whole[1].any()
+        assert torch.equal(part[rows], whole[rows])
+        assert not part[1].any()
+
+
+def test_the_absolute_gradient_of_a_centre_is_the_sum_of_what_each_pixel_contributes():
+    params, camera, T_WC, base, _ = three_gaussians(torch.float64)
+    _, saved = render_over_base(params, camera, T_WC, base, behind_m=BEHIND_M)
+    pixels = [(6, 8), (5, 9), (7, 7), (6, 5), (8, 10)]
+    v_rgb = torch.zeros(camera.height, camera.width, 3, dtype=torch.float64)
+    total, one = torch.zeros(3, 2, dtype=torch.float64), torch.zeros(3, 2, dtype=torch.float64)
+    for y, x in pixels:
+        alone = torch.zeros_like(v_rgb)
+        alone[y, x] = v_rgb[y, x] = f64(0.3, -0.2, 0.5)
+        render_over_base_vjp(saved, alone, v_uv=one)
+        total += one.abs()
+    v_uv_abs = torch.zeros_like(total)
+    render_over_base_vjp(saved, v_rgb, v_uv_abs=v_uv_abs)
+    torch.testing.assert_close(v_uv_abs, total)
+    assert (total > 0).all()
+
+
+def test_a_base_is_a_base():
+    params, camera, T_WC, base, _ = three_gaussians(torch.float64)
+    with pytest.raises(ValueError, match="base must be a Base, got Tensor"):
+        render_over_base.__wrapped__(params, camera, T_WC, base.rgb, behind_m=BEHIND_M)
