@@ -317,3 +317,50 @@ def test_missed_steps_of_some_rows(generator):
     part.catch_up(torch.arange(9))
     for name in PARAMETERS:
         torch.testing.assert_close(getattr(part.params, name), getattr(whole.params, name), atol=1e-6, rtol=1e-5)
+
+
+def test_an_optimiser_that_loses_values_is_refused(generator):
+    def explodes(param, gradient, m, v, ages, *, lr):
+        param[2:4, :1] = torch.inf
+
+    model = map_of(generator)
+    model.params.xyz_W[2, 0] = torch.nan  # lost before
+    with pytest.raises(ValueError, match="the optimiser made 1 values of xyz_W NaN or infinite; try smaller"):
+        adam_step(model, gradients(model.params, generator), OptimConfig(), explodes)
+
+
+def test_an_optimiser_from_outside_is_told_rates_and_ages(generator):
+    """Of a map, and of a window, whose rows are all as old as the window; a rate of 0 leaves a group alone."""
+    told = {}
+
+    def notes(param, gradient, m, v, ages, *, lr):
+        told[tuple(param.shape)] = (ages.tolist(), lr if isinstance(lr, float) else lr[:, 0].tolist())
+
+    model = map_of(generator, 3)
+    model.step_count = 4
+    model.append(Seeds.isotropic(torch.zeros(1, 3), torch.zeros(1, 3), torch.ones(1)))
+    config = OptimConfig(lr_xyz=0.1, lr_sh_dc=0.2, lr_sh_rest=0.3, lr_opacity_logit=0.4)
+    adam_step(model, gradients(model.params, generator), config, notes)
+    assert told[4, 4, 3] == ([5, 5, 5, 1], pytest.approx([0.2, 0.3, 0.3, 0.3]))
+    assert told[4,] == ([5, 5, 5, 1], 0.4)
+    assert model.step_count == 5
+    assert model.last_step.tolist() == [5] * 4
+    told.clear()
+    window = RowAdam(rows(2, generator), RATES | {"quat": 0.0}, update=notes)
+    for _ in range(3):
+        window.step(rows(2, generator))
+    assert told.keys() == {(2, 3), (2, 9, 3)}
+    assert told[2, 9, 3] == ([3, 3], pytest.approx([RATES["sh_dc"]] + [RATES["sh_rest"]] * 8))
+
+
+def test_a_part_knows_whether_its_map_has_changed(generator):
+    model = map_of(generator)
+    part = PartOfMap(model, torch.tensor([0, 4]), Mock(Boxes))
+    assert part.is_current
+    adam_step(part, gradients(part.params, generator), OptimConfig())
+    part.write_back()
+    assert part.is_current
+    assert model.step_count == part.step_count == 1
+    assert model.last_step.tolist() == [1, 0, 0, 0, 1, 0, 0, 0, 0]
+    model.params.xyz_W.add_(1.0)
+    assert not part.is_current

@@ -8,7 +8,7 @@ import torch
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
 from gsfusion_nb.geometry import backproject, pixel_grid, project, se3
 from gsfusion_nb.optim import exposed, exposed_vjp, fit_gain, fit_pose, flow_of_motion, pose_step, pose_system
-from gsfusion_nb.optim.fit_view import PIXELS_PER_OBSERVATION, SMALL_RESIDUAL
+from gsfusion_nb.optim.fit_view import PIXELS_PER_OBSERVATION, SMALL_RESIDUAL, fit_pose_by_flow, image_gradient
 from gsfusion_nb.render import pose_vjp, render, render_forward, render_vjp
 from gsfusion_nb.render.constants import SHOWN_ALPHA
 from gsfusion_nb.types import Camera, GaussianParams
@@ -163,3 +163,93 @@ def test_the_factors_are_found_where_the_map_shows_something_and_nothing_is_whit
     target[:20] = 0.1
     torch.testing.assert_close(fit_gain(rgb, target, shown), gain, atol=0.02, rtol=0)
     assert torch.equal(fit_gain(rgb, target, ~shown & shown), torch.ones(3))
+
+
+def test_differences_of_a_slanted_picture_are_its_slope():
+    u, v = torch.meshgrid(torch.arange(9.0), torch.arange(7.0), indexing="xy")
+    rgb = torch.stack([0.02 * u, 0.03 * v, 0.01 * u - 0.04 * v], dim=-1)
+    gx, gy = image_gradient(rgb)
+    torch.testing.assert_close(gx[:, 1:-1], torch.tensor([0.02, 0.0, 0.01]).expand(7, 7, 3))
+    torch.testing.assert_close(gy[1:-1], torch.tensor([0.0, 0.03, -0.04]).expand(5, 9, 3))
+    assert not gx[:, [0, -1]].any()
+    assert not gy[[0, -1]].any()
+    some = image_gradient(rgb, 2)
+    torch.testing.assert_close(some, (gx[::2, ::2], gy[::2, ::2]))
+
+
+def test_information_is_the_weighted_square_of_what_a_motion_changes(scene):
+    """H = sum over pixels and channels of w (g_u a + g_v b)(g_u a + g_v b)^T, one pixel after the other."""
+    params, T_WC = scene
+    output = render(params, CAMERA, T_WC)
+    target = output.rgb.roll(1, dims=1)
+    system = pose_system(output, target, CAMERA)
+    every = 2
+    a, b = flow_of_motion(output.depth_m[::2, ::2] / output.alpha[::2, ::2].clamp_min(1e-6), CAMERA, every)
+    gx, gy = image_gradient((output.rgb + target) / 2, every)
+    r = (output.rgb - target)[::2, ::2]
+    shown = output.alpha[::2, ::2] >= SHOWN_ALPHA
+    H, g, total = torch.zeros(6, 6).double(), torch.zeros(6).double(), 0.0
+    for v, u in shown.nonzero().tolist():
+        for c in range(3):
+            moves = gx[v, u, c] * a[v, u] + gy[v, u, c] * b[v, u]
+            w = 1 / max(abs(float(r[v, u, c])), SMALL_RESIDUAL)
+            H += w * torch.outer(moves, moves)
+            g += w * r[v, u, c] * moves
+            total += abs(float(r[v, u, c]))
+    error = total / (3 * int(shown.sum()))
+    unit = every**2 / (3 * PIXELS_PER_OBSERVATION * error)
+    assert float(system.error) == pytest.approx(error)
+    assert float(system.share) == pytest.approx(float(shown.double().mean()))
+    torch.testing.assert_close(system.H, unit * H)
+    torch.testing.assert_close(system.g, unit * g)
+
+
+def test_a_pose_is_found_without_any_gradient_of_the_map(scene):
+    params, T_true = scene
+    target = render(params, CAMERA, T_true).rgb
+    start = T_true @ se3.exp(torch.tensor([0.02, -0.02, 0.02, 0.01, 0.01, -0.02]).double())
+    fit = fit_pose_by_flow(lambda camera, T_WC: render(params, camera, T_WC), CAMERA, target, start)
+    assert fit.mse_before == pytest.approx(float((render(params, CAMERA, start).rgb - target).square().mean()))
+    assert fit.mse_after < 0.1 * fit.mse_before
+    assert off_by(T_true, fit.T_WC)[0] < 0.5 * off_by(T_true, start)[0]
+    assert off_by(T_true, fit.T_WC)[1] < 0.5 * off_by(T_true, start)[1]
+    with pytest.raises(ValueError, match="steps must be a whole number of at least 1, got 0"):
+        fit_pose_by_flow(lambda camera, T_WC: render(params, camera, T_WC), CAMERA, target, start, steps=0)
+
+
+def test_of_all_poses_tried_the_best_is_kept_and_a_bad_way_is_left(scene):
+    """The first picture is a little off, the second one more than half as much again: it is the last one."""
+    params, T_WC = scene
+    picture = render(params, CAMERA, T_WC)
+    asked = []
+
+    def worse(camera, pose):
+        asked.append(pose)
+        return dataclasses.replace(picture, rgb=picture.rgb + 0.1 * len(asked))
+
+    fit = fit_pose_by_flow(worse, CAMERA, picture.rgb, T_WC)
+    assert len(asked) == 2
+    assert torch.equal(fit.T_WC, T_WC)
+    assert fit.mse_before == fit.mse_after == pytest.approx(0.01)
+
+
+def test_gain_is_the_least_squares_fit_with_a_prior_of_ten_grey_pixels():
+    """Every second pixel of every second row, without white ones and those that the map does not show."""
+    g = torch.Generator().manual_seed(2)
+    rgb, target = 1.1 * torch.rand(2, 6, 8, 3, generator=g, dtype=torch.float64)
+    target = target.clamp(max=1)
+    target[2, 4] = 0.979
+    target[4, 2] = 0.981
+    shown = torch.rand(6, 8, generator=g) < 0.8
+    shown[2, 4] = shown[4, 2] = True
+    gains = []
+    for c in range(3):
+        above = below = 10 / 4 / 4  # a quarter is the square of grey, a quarter of the pixels is used
+        for v in range(0, 6, 2):
+            for u in range(0, 8, 2):
+                if shown[v, u] and float(target[v, u].max()) < 0.98:
+                    r = min(max(float(rgb[v, u, c]), 0.0), 1.0)
+                    above += r * float(target[v, u, c])
+                    below += r * r
+        gains.append(above / below)
+    assert fit_gain(rgb, target, shown).tolist() == pytest.approx(gains)
