@@ -38,8 +38,8 @@ class Coverage:
     """File -> line -> tests."""
 
     def of(self, mutant: Mutant, most_s: float) -> list[str]:
-        """Tests for a mutant, those of one file together: first those that execute its line, then the other tests of
-        these files that execute anything of its module, because a test may find the results of another one.
+        """Tests for a mutant, those of one file together: first those that execute its line, then the others that
+        execute anything of its module, because a test may find what another one has made or put into a cache.
 
         Args:
             mutant: The change.
@@ -54,9 +54,10 @@ class Coverage:
             modules = [by_line for file, by_line in self.lines.items() if file.startswith(f"{room}/")]
             direct = {test for by_line in modules for tests in by_line.values() for test in tests}
         files = {_file(test) for test in direct}
-        others = {test for test in of_module - direct if _file(test) in files}
+        near = {test for test in of_module - direct if _file(test) in files}
+        far = of_module - direct - near if direct else set()
         chosen, spent = [], 0.0
-        for test in [*self._in_order(direct, mutant), *self._in_order(others, mutant)]:
+        for test in [test for group in (direct, near, far) for test in self._in_order(group, mutant)]:
             if spent + self.seconds[test] <= most_s or not chosen:
                 chosen.append(test)
                 spent += self.seconds[test]

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -79,10 +80,53 @@ def test_the_room_s_own_tests_come_first_then_others_that_know_the_module():
     m, slow, quick, other, far = seconds
     lines = {"gsfusion_nb/render/a.py": {2: [m, slow, quick], 9: [other, far]}}
     coverage = mutant_tests.Coverage(seconds=seconds, lines=lines)
-    assert coverage.of(mutant(), 100.0) == [quick, slow, m, other]
-    assert coverage.of(mutant(), 3.0) == [quick, m, other]
+    assert coverage.of(mutant(), 100.0) == [quick, slow, m, other, far]
+    assert coverage.of(mutant(), 4.0) == [quick, m, other, far]
     assert coverage.of(mutant(runs_with=(3,)), 100.0) == []
     assert set(coverage.of(mutant(runs_with=(), file="gsfusion_nb/render/constants.py"), 100.0)) == set(seconds)
+
+
+MEASURED = """
+import subprocess, sys
+import pytest
+from gsfusion_nb import m
+
+@pytest.fixture(scope="module")
+def made():
+    return m.shared()
+
+def test_first(made):
+    assert made == 1
+
+def test_second(made):
+    assert m.own() == 2
+
+def test_in_a_process():
+    subprocess.run([sys.executable, "-c", "from gsfusion_nb import m; m.there()"], check=True)
+
+def test_that_fails():
+    assert m.own() == 3
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_line_belongs_to_the_tests_that_need_it(tmp_path):
+    """What a shared fixture executes is needed by all tests that use it, and a process belongs to its test."""
+    tree = tmp_path / "tree"
+    for folder in ("tests/x", "gsfusion_nb"):
+        (tree / folder).mkdir(parents=True)
+    (tree / "gsfusion_nb/__init__.py").touch()
+    (tree / "gsfusion_nb/m.py").write_text("".join(f"def {f}():\n    return {i}\n" for f, i in FUNCTIONS.items()))
+    (tree / "tests/x/test_m.py").write_text(MEASURED)
+    measure = "import mutant_tests, pathlib; mutant_tests.covered({}, ['tests/x'], {}, {})"
+    paths = [f"pathlib.Path({str(p)!r})" for p in (tree, tmp_path / "scratch", tmp_path / "m.json")]
+    subprocess.run([sys.executable, "-c", measure.format(*paths)], cwd=Path(__file__).parent, check=True)
+    lines = mutant_tests.read_coverage([tmp_path / "m.json"]).lines["gsfusion_nb/m.py"]
+    found = {name: {t.split("::")[1] for t in lines[2 * i + 2]} for i, name in enumerate(FUNCTIONS)}
+    assert found == {"shared": {"test_first", "test_second"}, "own": {"test_second"}, "there": {"test_in_a_process"}}
+
+
+FUNCTIONS = {"shared": 1, "own": 2, "there": 3}
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
