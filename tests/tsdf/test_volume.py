@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 import torch
 
@@ -142,3 +144,43 @@ def test_weights_of_a_cell_and_their_derivatives(generator):
     for corner in range(8):
         (expected,) = torch.autograd.grad(weights[:, corner].sum(), f, retain_graph=True)
         torch.testing.assert_close(corner_gradients(f)[:, corner], expected)
+
+
+@pytest.mark.parametrize(
+    ("by_distance", "band_voxels", "weighs_colours"), [(False, 0.0, False), (True, 0.0, True), (False, 1.5, True)]
+)
+def test_memory_is_what_the_tensors_take(by_distance, band_voxels, weighs_colours):
+    config = dataclasses.replace(CONFIG, colour_by_distance=by_distance, colour_band_voxels=band_voxels)
+    volume = TsdfVolume(config)
+    volume.add_blocks(torch.tensor([[i, 0, 0] for i in range(10)]))
+    tensors = [x for x in volume.state_dict().values() if isinstance(x, torch.Tensor)]
+    taken = sum(x.numel() * x.element_size() for x in tensors)
+    assert volume.memory_bytes == estimate_memory(10, weighs_colours=weighs_colours) == taken
+
+
+def test_how_much_memory_is_needed_and_allowed():
+    """2,000 blocks of 512 voxels of 24 bytes, and 12 bytes for their place: 24.6 million bytes."""
+    volume = TsdfVolume(CONFIG, memory_limit_bytes=20_400_000)
+    with pytest.raises(MemoryError, match=r"needs 25 MB for 2000 blocks .* of 0.02 m, but only 20 MB may be used"):
+        volume.add_blocks(torch.tensor([[i, 0, 0] for i in range(2000)]))
+    assert volume.n_blocks == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "sentence"),
+    [
+        ("W", lambda x: x - 1, "W must be at least 0 in every voxel, got -1"),
+        ("W_rgb", lambda x: x - 2, "W_rgb must be at least 0 in every voxel, got -2"),
+        ("block_coords", lambda x: x * 0, "block_coords must contain every block once"),
+        ("D", lambda x: x / 0, "D"),
+        ("rgb", lambda x: x[:, :2], "rgb"),
+    ],
+)
+def test_a_damaged_map_is_refused(name, change, sentence):
+    volume = TsdfVolume(CONFIG)
+    volume.add_blocks(torch.tensor([[0, 0, 0], [1, 0, 0]]))
+    state = volume.state_dict()
+    with pytest.raises(ValueError, match=sentence):
+        TsdfVolume(CONFIG).load_state_dict(state | {name: change(state[name])})
+    with pytest.raises(ValueError, match=r"the saved map was made with .*0.02.*, this volume has .*0.03"):
+        TsdfVolume(dataclasses.replace(CONFIG, voxel_size_m=0.03)).load_state_dict(state)
