@@ -35,7 +35,7 @@ TESTS = (
     *("data", "recordings", "runs", "compare", "kernels"),
 )
 """Folders of the tests that count."""
-MOST_S = 12.0
+MOST_S = 8.0
 """Of tests for one mutant, seconds."""
 
 

@@ -9,7 +9,8 @@ import torch
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.seeding import SeedContext, Seeds, StepStats, apply_rule
 from gsfusion_nb.seeding.points import add_up
-from gsfusion_nb.seeding.rules import monogs_like, vg_mapping
+from gsfusion_nb.seeding.rules import cone_gs, game, monogs_like, splatam_like, vg_mapping
+from gsfusion_nb.seeding.rules.splatam import PRUNED_AFTER
 from gsfusion_nb.types import Camera, Frame
 
 
@@ -95,3 +96,76 @@ def test_vg_mapping_removes_what_the_frame_sees_through(frame, values, prunes):
     assert (edit is not None) == prunes
     if edit is not None and edit.keep is not None:
         assert edit.keep.tolist() == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("values", "kept"),
+    [
+        ({"step_in_frame": 31}, [True, True, False, True]),
+        ({"step_in_frame": 30}, None),
+        ({"step_in_frame": 60}, [True, False, False, True]),
+        ({"step_in_frame": 60, "stage": "passes"}, None),
+    ],
+)
+def test_game_removes_faint_ones_halfway_and_stale_ones_at_the_end(frame, values, kept):
+    """The map's picture is brighter than the wall. The second is 6 cm before it, the fourth 4 cm, the third is faint
+    and far behind."""
+    ctx = SeedContext(frame, gaussians=placed([0.5, 0.9, 0.09, 0.9], [3.5, 2.94, 9.0, 2.96]))
+    edit = game().after_step(ctx, stats_of(frame, **values), {})
+    assert (edit and edit.keep is not None and edit.keep.tolist()) == kept
+
+
+def test_game_keeps_what_has_the_right_colour(frame):
+    grey = dataclasses.replace(frame, rgb=torch.full((6, 8, 3), 0.9))
+    ctx = SeedContext(grey, gaussians=placed([0.99], [2.5]))
+    assert (ctx.render().rgb - 0.9).abs().mean(dim=-1)[2:4, 3:5].max() < 0.1
+    assert game().after_step(ctx, stats_of(grey, step_in_frame=60), {}) is None
+
+
+@pytest.mark.parametrize(
+    ("values", "share", "kept"),
+    [
+        ({"step_in_frame": 21}, 1.0, [True, False, False, True]),
+        ({"step_in_frame": 21}, 0.25, [True, False, True, True]),  # four times as few, twice as large
+        ({"step_in_frame": 20}, 1.0, None),
+        ({"step_in_frame": 21, "stage": "passes"}, 1.0, None),
+    ],
+)
+def test_splatam_like_removes_faint_and_large_ones(frame, values, share, kept):
+    """A tenth of a radius of 2 m is the limit of size, 0.005 that of opacity."""
+    assert 21 in PRUNED_AFTER
+    ctx = SeedContext(frame, gaussians=model_with([0.5, 0.0049, 0.5, 0.0051], [0.19, 0.1, 0.21, 0.1]))
+    edit = splatam_like(share=share).after_step(ctx, stats_of(frame, **values), {"scene_radius_m": 2.0})
+    assert (edit and edit.keep is not None and edit.keep.tolist()) == kept
+
+
+@pytest.mark.parametrize(("step", "kept"), [(100, [True, False, True]), (300, [True, False, True]), (101, None)])
+def test_cone_gs_removes_faint_ones_every_100_steps(frame, step, kept):
+    ctx = SeedContext(frame, gaussians=model_with([0.5, 0.0049, 0.0051], [0.1] * 3))
+    edit = cone_gs().after_step(ctx, stats_of(frame, step=step), {})
+    assert (edit and edit.keep is not None and edit.keep.tolist()) == kept
+    whole = SeedContext(frame, gaussians=model_with([0.5, 0.1], [0.1] * 2))
+    assert cone_gs().after_step(whole, stats_of(frame, step=100), {}) is None
+
+
+@pytest.mark.parametrize(
+    ("values", "reset_every", "set_to"),
+    [
+        ({"step": 2001}, 2001, [0.4, 0.4]),
+        ({"step": 2000}, 2001, None),
+        ({"step": 2001}, 0, None),
+        ({"step": 2001, "stage": "passes"}, 2001, None),
+    ],
+)
+def test_monogs_like_gives_hidden_ones_an_opacity_of_their_own(frame, values, reset_every, set_to):
+    model = model_with([0.9, 0.8, 0.7], [0.01] * 3)
+    seen = {"visible": torch.tensor([True, False, False]), "radius_px": torch.zeros(3)}
+    rule = monogs_like(reset_every=reset_every)
+    edit = rule.after_step(SeedContext(frame, gaussians=model), stats_of(frame, **values, **seen), {})
+    if set_to is None:
+        assert edit is None
+    else:
+        rows, opacity = edit.set["opacity"]
+        assert rows.tolist() == [False, True, True]
+        assert opacity.tolist() == pytest.approx(set_to)
+        assert edit.clone is edit.split is edit.keep is None

@@ -180,3 +180,16 @@ def test_neighbouring_cubes_agree_on_their_face():
                     left = left & ~(1 << high) | bit << high
                     right = right & ~(1 << c) | bit << c
                 assert border(left, axis, 1) == {(b, a) for a, b in border(right, axis, 0)}
+
+
+def test_a_vertex_has_the_colour_of_its_place(filled_volume):
+    """Colour runs linearly through space, so between two voxels it must be that of the point."""
+    volume = filled_volume(sphere, (-3, -3, -3), (3, 3, 3))
+
+    def colour(p):
+        return 0.5 + p @ torch.tensor([[0.4, 0.1, 0.0], [-0.2, 0.5, 0.1], [0.1, 0.0, -0.6]])
+
+    centres = (volume.voxel_at(torch.arange(volume.n_blocks * 512)) + 0.5) * 0.02
+    volume.rgb_planes.copy_(colour(centres).view(-1, 512, 3).transpose(1, 2))
+    mesh = extract_mesh(volume)
+    torch.testing.assert_close(mesh.rgb, colour(mesh.vertices_W), atol=1e-5, rtol=0)
