@@ -15,7 +15,16 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
 from gsfusion_nb.seeding.image_features import halved
-from gsfusion_nb.seeding.sampling import sized_by_neighbours
+from gsfusion_nb.seeding.rules.monogs import PRESETS as monogs_presets
+from gsfusion_nb.seeding.sampling import (
+    as_discs,
+    depth_error_m,
+    in_front,
+    one_pixel_seeds,
+    pushed_back,
+    sized_by_neighbours,
+    unmapped_pixels,
+)
 from gsfusion_nb.tsdf import RaycastOutput
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -352,3 +361,90 @@ def test_vg_mapping_seeds_what_is_new_or_looks_different():
     assert 0 < len(half) < count
     assert bool((half.xyz_W[:, 0] >= 0).all())
     assert len(apply_rule("vg_mapping", staged(fine, rgb=1 - fine.rgb, volume=seen, config=settings))) > count // 2
+
+
+def test_which_errors_are_large_depends_on_sides_and_median():
+    ctx = half_wrong()  # 768 bare, 40 thin; 12 too far away, 8 too near
+    assert int(unmapped_pixels(ctx, 0.5, 50.0).sum()) == 768 + 12
+    assert int(unmapped_pixels(ctx, 0.5, 50.0, sides="both").sum()) == 768 + 20
+    assert int(unmapped_pixels(ctx, 0.6, 50.0).sum()) == 768 + 40 + 12
+    holes = with_values(2.0, (some(2000, "right"), 0.0))  # most pixels have no depth: the median of all is 0
+    beside = staged(wall(depth_m=holes), depth_m=with_values(2.01, (some(30), 2.2)))
+    assert int(unmapped_pixels(beside, 0.5, 10.0).sum()) == N - 2000
+    assert torch.equal(unmapped_pixels(beside, 0.5, 10.0, median_of="measured"), some(30))
+    assert torch.equal(unmapped_pixels(first(wall(depth_m=holes)), 0.5, 10.0), holes > 0)
+    torch.testing.assert_close(depth_error_m(beside), with_values(0.01, (some(30), 0.2), (some(2000, "right"), 0.0)))
+
+
+def test_one_pixel_seeds_of_a_grid_and_of_a_share():
+    ctx = first(wall(fy=40.0))
+    everywhere = torch.ones(H, W, dtype=torch.bool)
+    pixel_m = 2.0 / ((F + 40.0) / 2)
+    for options, count, factor in [
+        ({}, N, 1.0),
+        ({"every_px": 2}, N // 4, 2.0),
+        ({"every_px": 5}, math.ceil(W / 5) * math.ceil(H / 5), 5.0),
+        ({"share": 0.25}, N // 4, 2.0),
+        ({"share": 0.25, "every_px": 2}, N // 16, 4.0),
+    ]:
+        seeds = one_pixel_seeds(ctx, everywhere, **options)
+        assert len(seeds) == count
+        torch.testing.assert_close(seeds.scale_m, torch.full((count, 3), factor * pixel_m))
+    grid = pixels_of(ctx, one_pixel_seeds(ctx, everywhere, every_px=2))
+    assert grid[::2, ::2].all()
+    assert int(grid.sum()) == N // 4
+    for share in (0.0, 1.1, -1.0):
+        with pytest.raises(ValueError, match=f"share must be above 0 and at most 1, got {share}"):
+            one_pixel_seeds(ctx, everywhere, share=share)
+    with pytest.raises(ValueError, match="every_px must be at least 1, got 0"):
+        one_pixel_seeds(ctx, everywhere, every_px=0)
+
+
+def test_what_lies_in_front_of_the_measured_depth():
+    """The wall is 2 m away and 64 x 48 pixels with f = 60 wide: from -1.067 to 1.067 and from -0.8 to 0.8 metres."""
+    places = {
+        (0.0, 0.0, 1.89): True,
+        (0.0, 0.0, 1.91): False,  # within the margin
+        (0.0, 0.0, 2.5): False,
+        (0.0, 0.0, -1.0): False,
+        (-0.53, 0.0, 1.0): True,
+        (-0.54, 0.0, 1.0): False,  # beside the image
+        (0.53, 0.39, 1.0): True,
+        (0.53, 0.41, 1.0): False,
+        (0.0, -0.41, 1.0): False,
+        (0.2, 0.2, 1.0): False,  # a pixel without depth: column 44, row 36
+    }
+    depth_m = torch.full((H, W), 2.0)
+    depth_m[36, 44] = 0.0
+    ctx = staged(wall(depth_m=depth_m), xyz_W=torch.tensor(list(places)))
+    assert in_front(ctx, 0.1).tolist() == list(places.values())
+    left = torch.arange(W).expand(H, W) < W // 2
+    assert in_front(ctx, 0.1, left).tolist() == [seen and x < 0 for (x, _, _), seen in places.items()]
+
+
+def test_pushed_back_discs_face_the_camera_where_there_is_no_normal():
+    T_WC = torch.eye(4)
+    T_WC[:3, 3] = torch.tensor([1.0, 0.0, 0.0])
+    ctx = first(dataclasses.replace(wall(), T_WC=T_WC))
+    xyz = torch.tensor([[1.0, 0.0, 2.0], [3.0, 0.0, 2.0]])
+    seeds = Seeds.isotropic(xyz, torch.full((2, 3), 0.5), torch.tensor([0.1, 0.2]))
+    far = pushed_back(ctx, seeds, 1.5)
+    torch.testing.assert_close(far.xyz_W, torch.tensor([[1.0, 0.0, 3.0], [4.0, 0.0, 3.0]]))
+    torch.testing.assert_close(far.scale_m, torch.tensor([[0.15] * 3, [0.3] * 3]))
+    discs = as_discs(ctx, seeds, torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), 0.2)
+    axes = quaternion.to_matrix(discs.quat)[:, :, 2]
+    torch.testing.assert_close(axes, torch.tensor([[1.0, 0.0, 0.0], [-(0.5**0.5), 0.0, -(0.5**0.5)]]))
+    torch.testing.assert_close(discs.scale_m, torch.tensor([[0.1, 0.1, 0.02], [0.2, 0.2, 0.04]]))
+
+
+def test_monogs_leaves_out_black_and_sees_points_by_their_depth():
+    """The size of a point is c times the median depth, at most 0.05: 0.05 m at 1 m and beyond for Replica."""
+    assert monogs_presets == {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
+    rgb = torch.full((H, W, 3), 0.5)
+    rgb[:, : W // 2] = 0.003  # R + G + B is 0.009
+    seeds = apply_rule("monogs", first(wall(rgb=rgb)), {"density": 32.0})
+    assert torch.equal(pixels_of(first(), seeds), torch.arange(W).expand(H, W) >= W // 2)
+    near = apply_rule("monogs", first(wall(depth_m=torch.full((H, W), 0.5))), {"density": 32.0})
+    far = apply_rule("monogs", first(), {"density": 32.0})
+    ratio = float((near.scale_m[0, 0] / far.scale_m[0, 0]) ** 2)  # points four times as close, point size half as large
+    assert ratio == pytest.approx((0.5 / 2.0) ** 2 * 0.025 / 0.05, rel=1e-4)

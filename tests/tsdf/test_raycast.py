@@ -5,6 +5,7 @@ from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import render_room
 from gsfusion_nb.geometry import depth_to_points, se3
 from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast
+from gsfusion_nb.types import Camera
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 
@@ -118,3 +119,16 @@ def test_real_camera(shared_sequence):
     both = (out.depth_m > 0) & (frames[1].depth_m > 0)
     assert float(both.sum() / (frames[1].depth_m > 0).sum()) > 0.85
     assert float((out.depth_m - frames[1].depth_m)[both].abs().median()) < 0.02
+
+
+def test_the_distance_at_the_surface_that_is_seen_is_zero(filled_volume, look_from):
+    """On average the interpolated distance there is below a thousandth of a millimetre: two refinements leave 0.0002 mm
+    here, one 0.0016 mm, none 0.06 mm."""
+    camera = Camera(width=40, height=30, fx=35.0, fy=35.0, cx=20.0, cy=15.0)
+    volume = filled_volume(sphere, (-3, -3, -3), (3, 3, 3))
+    T_WC = look_from((0.03, -0.02, -1.0), (0.03, -0.02, 0.01))
+    out = raycast(volume, camera, T_WC)
+    points = se3.apply(T_WC, depth_to_points(camera, out.depth_m))[out.depth_m > 0]
+    D, valid = volume.interpolate(points)
+    assert valid.sum() > 300
+    assert float((D[valid] * CONFIG.truncation_m).abs().mean()) < 6e-7
