@@ -65,3 +65,43 @@ def test_state_round_trip(generator):
     for name in PARAMETERS:
         assert torch.equal(getattr(again.params, name), getattr(model.params, name))
         assert torch.equal(getattr(again.exp_avg_sq, name), getattr(model.exp_avg_sq, name))
+
+
+def test_rows_that_take_the_place_of_removed_ones_start_from_zero(generator):
+    model = GaussianModel(sh_degree=1)
+    model.append(seeds(6, generator))
+    for values in (model.params, model.exp_avg, model.exp_avg_sq):
+        values.sh.fill_(3.0)
+        values.xyz_W.fill_(3.0)
+    model.keep(torch.arange(6) < 2)
+    more = seeds(5, generator)
+    model.append(more)
+    assert (model.exp_avg.sh[:2] == 3).all()
+    assert not model.params.sh[2:, 1:].any()
+    for moments in (model.exp_avg, model.exp_avg_sq):
+        assert not any(column[2:].any() for column in vars(moments).values())
+    torch.testing.assert_close(model.params.xyz_W[2:], more.xyz_W)
+
+
+def test_a_log_brings_back_rows_that_were_said_to_change(generator):
+    """Also rows that were said twice, or that are new."""
+    model = GaussianModel(sh_degree=0)
+    model.append(seeds(5, generator))
+    before = model.snapshot()
+    undo = model.log_changes()
+    model.will_change(torch.tensor([1, 3]))
+    model.params.xyz_W[1] += 1
+    model.append(seeds(2, generator))
+    model.will_change(torch.tensor([3, 4, 5, 6]))
+    model.params.xyz_W[3:] += 1
+    model.will_change(torch.tensor([1]))
+    model.params.xyz_W[1] += 1
+    undo()
+    assert len(model) == 5
+    for name, column in model.columns.items():
+        assert torch.equal(column, before[name]), name
+    model.log_changes()
+    model.end_log()
+    model.will_change(torch.tensor([0]))
+    model.params.xyz_W[0] += 1
+    assert not torch.equal(model.params.xyz_W, before["xyz_W"])

@@ -1,6 +1,7 @@
 """Rows of the compact map: values at birth, derived surfel parameters, rigid motion, saving."""
 
 import copy
+import dataclasses
 import math
 
 import pytest
@@ -20,6 +21,7 @@ from gsfusion_nb.gaussians import (
     radius_of,
     state_counts,
 )
+from gsfusion_nb.gaussians.surfels import BECOMES_STABLE, BECOMES_UNSTABLE, DELETED, STAYS, next_states
 from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.geometry.spherical_harmonics import sh_basis
 from gsfusion_nb.types import Camera, Seeds
@@ -332,3 +334,53 @@ def test_a_new_state_starts_its_counts_again():
     assert model.colour_errors.tolist() == model.depth_errors.tolist() == [7, 0, 0, 7]
     assert model.confidence.tolist() == model.frames_in_view.tolist() == [7, 0, 7, 7]
     assert model.birth_step.tolist() == [0, 9, 0, 0]
+
+
+@pytest.mark.parametrize(("age", "left"), [("all", [0, 1]), ("in_view", [0, 2])])
+def test_an_unstable_row_is_removed_when_it_is_older_than_the_limit(age, left):
+    """The limit is 50 frames. Frames since it was added: 50, 50, 51; in view: 50, 51, 50."""
+    model = surfels(3, now=60)
+    model.birth_step.copy_(torch.tensor([10, 10, 9]))
+    model.frames_in_view.copy_(torch.tensor([50, 51, 50]))
+    report = change_states(model, dataclasses.replace(CONFIG, age=age))
+    assert model.tag.tolist() == left
+    assert report == Transitions(stabilised=0, released=0, expired=1, oversized=0)
+
+
+def test_what_happens_to_a_row_and_what_counts_first():
+    """An old row that has been seen enough becomes stable; a stable one does not age."""
+    stable = torch.tensor([False, False, False, False, True, True, True])
+    happens = next_states(
+        stable,
+        confidence=torch.tensor([100, 101, 100, 101, 0, 0, 0]),
+        errors=torch.tensor([99, 99, 99, 99, 10, 11, 0]),
+        age=torch.tensor([50, 50, 51, 51, 99, 99, 99]),
+        stable_confidence=100.0,
+        error_count=10,
+        unstable_frames=50,
+    )
+    assert happens.tolist() == [STAYS, BECOMES_STABLE, DELETED, BECOMES_STABLE, STAYS, BECOMES_UNSTABLE, STAYS]
+
+
+def test_moments_turn_by_the_rotation_and_its_squares(generator):
+    """A gradient of a quaternion turns as the quaternion does, from the left; mean squares by the squares."""
+    model = GaussianModel(sh_degree=0)
+    model.append(discs(7, generator))
+    for moments in (model.exp_avg, model.exp_avg_sq):
+        for column in (moments.xyz_W, moments.quat):
+            column.copy_(torch.rand(column.shape, generator=generator))
+    before = {name: copy.deepcopy(vars(getattr(model, name))) for name in ("exp_avg", "exp_avg_sq")}
+    T = motions(7, generator)
+    model.move(T)
+    R = T[:, :3, :3].float()
+    q = quaternion.from_matrix(R)
+    L = torch.stack([quaternion.multiply(q, e.expand(7, 4)) for e in torch.eye(4)], dim=2)
+    for i in range(7):
+        mean, square = (
+            {name: column[i] for name, column in vars(m).items()} for m in (model.exp_avg, model.exp_avg_sq)
+        )
+        torch.testing.assert_close(mean["xyz_W"], R[i] @ before["exp_avg"]["xyz_W"][i])
+        turned = quaternion.multiply(q[i : i + 1], before["exp_avg"]["quat"][i : i + 1])[0]
+        torch.testing.assert_close(mean["quat"], turned)
+        torch.testing.assert_close(square["xyz_W"], R[i] ** 2 @ before["exp_avg_sq"]["xyz_W"][i])
+        torch.testing.assert_close(square["quat"], L[i] ** 2 @ before["exp_avg_sq"]["quat"][i])
