@@ -105,3 +105,34 @@ def test_a_log_brings_back_rows_that_were_said_to_change(generator):
     model.will_change(torch.tensor([0]))
     model.params.xyz_W[0] += 1
     assert not torch.equal(model.params.xyz_W, before["xyz_W"])
+
+
+@pytest.mark.parametrize(("given", "own"), [(0, 2), (1, 1), (3, 1), (2, 3)])
+def test_colours_of_another_degree_are_cut_or_padded(given, own, generator):
+    source = GaussianModel(sh_degree=given)
+    source.append(seeds(4, generator))
+    source.params.sh.copy_(torch.rand(source.params.sh.shape, generator=generator))
+    model = GaussianModel(sh_degree=own)
+    model.append(seeds(2, generator), 5)
+    model.step_count = 9
+    model.extend(source.params)
+    shared = min((given + 1) ** 2, (own + 1) ** 2)
+    assert torch.equal(model.params.sh[2:, :shared], source.params.sh[:, :shared])
+    assert not model.params.sh[2:, shared:].any()
+    for name in PARAMETERS[:-1]:
+        assert torch.equal(getattr(model.params, name)[2:], getattr(source.params, name))
+        assert not getattr(model.exp_avg, name)[2:].any()
+    assert model.birth_frame.tolist() == [5, 5, -1, -1, -1, -1]
+    assert model.birth_step.tolist() == [0, 0, 9, 9, 9, 9]
+    assert model.tag.tolist()[2:] == [0] * 4
+    assert model.size_bytes == 6 * 62 * 4
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_rows_that_are_not_finite_are_refused(value, generator):
+    source, model = GaussianModel(sh_degree=0), GaussianModel(sh_degree=0)
+    source.append(seeds(4, generator))
+    source.params.quat[1, 2] = value
+    with pytest.raises(ValueError, match=r"must be finite, got NaN or infinities: .*'quat': 1"):
+        model.extend(source.params)
+    assert len(model) == 0
