@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -372,3 +373,66 @@ def test_ssim_needs_half_a_window(side, enough):
         lambda camera, T_WC: view_of(picture, torch.ones(side, 20)), [frame_of(0, picture, torch.ones(side, 20))]
     ).rows
     assert math.isnan(row.ssim) != enough
+
+
+def test_psnr_clamps_to_the_data_range_and_leaves_inputs_alone():
+    white, over = torch.ones(3, 3, 3), torch.full((3, 3, 3), 7.0)
+    assert psnr(over, white) == math.inf
+    assert over.max() == 7.0
+
+
+def test_ssim_in_float32_agrees_with_float64(generator):
+    a, b = picture(generator, 40, 50), picture(generator, 40, 50)
+    assert ssim(a, b) == pytest.approx(ssim(a.double(), b.double()), abs=1e-5)
+
+
+def test_ssim_as_released_does_not_see_the_border(generator):
+    """A pixel of the border counts only in windows that reach it, and those are around pixels nearer than 6."""
+    a, b = patterned()
+    inner = ssim_as_released(a, b)
+    assert ssim_as_released(a[5:-5, 5:-5], b[5:-5, 5:-5]) != inner
+    with pytest.raises(ValueError, match="at least 11 pixels"):
+        ssim_as_released(torch.zeros(10, 30, 3), torch.zeros(10, 30, 3))
+
+
+@pytest.fixture
+def no_cached_network():
+    image_module._lpips_network.cache_clear()
+    yield
+    image_module._lpips_network.cache_clear()
+
+
+def test_lpips_without_its_package_says_so(monkeypatch, no_cached_network):
+    monkeypatch.setitem(sys.modules, "lpips", None)
+    result = lpips(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))
+    assert isinstance(result, NotComputed)
+    assert lpips_as_released(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3)) == result
+    assert str(result).startswith("not computed: package 'lpips' is not installed")
+
+
+def test_lpips_without_weights_says_so_and_never_builds_the_network(monkeypatch, no_cached_network, tmp_path):
+    """A stand-in package: building the network would mean a download, so it must not happen."""
+
+    class Package:
+        @staticmethod
+        def LPIPS(**_):
+            raise AssertionError("this would download")
+
+    class Models:
+        class AlexNet_Weights:
+            class IMAGENET1K_V1:
+                url = "https://example.org/alexnet-owt-7be5be79.pth"
+
+    monkeypatch.setitem(sys.modules, "lpips", Package)
+    monkeypatch.setitem(sys.modules, "torchvision", Models)
+    monkeypatch.setitem(sys.modules, "torchvision.models", Models)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    result = lpips(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))
+    assert isinstance(result, NotComputed)
+    assert "alexnet-owt-7be5be79.pth" in result.reason
+
+
+def test_no_number_if_no_view_shows_the_mesh():
+    assert mesh_psnr(mesh_of(at(3, 1, 2.0, [0.5] * 3)), [frame(5.0)]) == NotComputed(
+        "no view shows a vertex of the mesh"
+    )

@@ -139,3 +139,15 @@ def test_scores_by_name(generator):
     assert 0 < scores["ate_mean_m"] < scores["ate_rmse_m"]
     assert scores["rpe_translation_m"] == pytest.approx(0.05 / math.sqrt(len(path) - 1))
     assert scores["rpe_rotation_deg"] == pytest.approx(0, abs=1e-5)
+
+
+def test_noise_of_known_size_is_measured(generator):
+    path = random_path(generator, 2000)
+    estimate = path.clone()
+    estimate[:, :3, 3] += 0.02 * torch.randn(2000, 3, generator=generator, dtype=torch.float64)
+    assert ate_rmse(estimate, path) == pytest.approx(0.02 * math.sqrt(3), rel=0.05)
+
+
+def test_scores_of_too_short_a_path():
+    with pytest.raises(ValueError, match="at least 3 positions, got 2"):
+        trajectory_scores(torch.eye(4).repeat(2, 1, 1), torch.eye(4).repeat(2, 1, 1))

@@ -136,3 +136,81 @@ def test_rows_that_are_not_finite_are_refused(value, generator):
     with pytest.raises(ValueError, match=r"must be finite, got NaN or infinities: .*'quat': 1"):
         model.extend(source.params)
     assert len(model) == 0
+
+
+def test_growth_clears_what_a_dropped_row_left_behind(generator):
+    model = GaussianModel(sh_degree=0)
+    model.append(seeds(10, generator))
+    model.exp_avg_sq.xyz_W.fill_(3.0)
+    model.keep(torch.arange(10) < 4)
+    model.append(seeds(6, generator))
+    assert model.exp_avg_sq.xyz_W[:4].eq(3.0).all()
+    assert model.exp_avg_sq.xyz_W[4:].eq(0.0).all()
+
+
+def test_only_rows_that_were_never_in_use_are_zero_already(generator):
+    """Rows are dropped, partly used again, and the buffers grow: no moment and no coefficient of old rows is left."""
+    model = GaussianModel(sh_degree=1)
+    for n, kept in ((10, 4), (3, 7), (8, 2), (5000, 4999), (4, 1), (9000, 9000)):
+        start = len(model)
+        model.append(seeds(n, generator))
+        assert model.params.sh[start:, 1:].eq(0.0).all()
+        for moments in (model.exp_avg, model.exp_avg_sq):
+            assert all(column[start:].eq(0.0).all() for column in vars(moments).values())
+            for column in vars(moments).values():
+                column.fill_(3.0)
+        model.params.sh.fill_(3.0)
+        model = GaussianModel.from_state_dict(model.state_dict()) if n == 8 else model
+        model.keep(torch.arange(len(model)) < kept)
+
+
+def test_a_derivative_asked_of_a_view_stays_with_that_view(generator):
+    model = GaussianModel(0)
+    model.append(seeds(3, generator))
+    mine = model.params.xyz_W.requires_grad_()
+    assert mine.requires_grad
+    assert not model.params.xyz_W.requires_grad
+    model.params.xyz_W.add_(1.0)
+    assert torch.equal(mine.detach(), model.params.xyz_W)
+
+
+def test_views_are_made_again_when_the_rows_change(generator):
+    """Also where a map has as many rows as before, in another buffer."""
+    model = GaussianModel(sh_degree=0)
+    model.append(seeds(10, generator))
+    before = model.params
+    assert model.params is before
+    assert model.exp_avg is model.exp_avg
+    model.append(seeds(5000, generator))
+    model.keep(torch.arange(5010) < 10)
+    after = model.params
+    assert after is not before
+    after.xyz_W.zero_()
+    assert model.state_dict()["rows"]["xyz_W"].eq(0).all()
+    assert before.xyz_W.ne(0).any()
+
+
+def test_activated_values(generator):
+    model = GaussianModel(sh_degree=0)
+    s = seeds(3, generator)
+    model.append(s)
+    torch.testing.assert_close(model.rgb, s.rgb)
+    torch.testing.assert_close(model.opacity, s.opacity)
+    assert model.size_bytes == 3 * 248
+    assert "3 Gaussians" in repr(model)
+
+
+def test_bad_arguments_are_sentences():
+    with pytest.raises(ValueError, match="sh_degree must be 0, 1, 2 or 3, got 4"):
+        GaussianModel(sh_degree=4)
+    with pytest.raises(ValueError, match=r"rows must be \[0\], got \[2\]"):
+        GaussianModel().keep(torch.ones(2, dtype=torch.bool))
+
+
+@pytest.mark.parametrize(("name", "value"), [("opacity", 3.0), ("scale_m", -0.1), ("xyz_W", float("nan"))])
+def test_gaussians_that_are_not_numbers_are_refused(generator, name, value):
+    new, model = seeds(5, generator), GaussianModel(sh_degree=0)
+    getattr(new, name)[2] = value
+    with pytest.raises(ValueError, match=rf"got .* as {name} of row 2"):
+        model.append(new)
+    assert len(model) == 0

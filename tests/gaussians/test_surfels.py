@@ -11,6 +11,7 @@ from gsfusion_nb.config import StateConfig
 from gsfusion_nb.gaussians import (
     OPAQUE,
     STABLE,
+    TRANSPARENT,
     UNSTABLE,
     GaussianModel,
     SurfelModel,
@@ -384,3 +385,101 @@ def test_moments_turn_by_the_rotation_and_its_squares(generator):
         torch.testing.assert_close(mean["quat"], turned)
         torch.testing.assert_close(square["xyz_W"], R[i] ** 2 @ before["exp_avg_sq"]["xyz_W"][i])
         torch.testing.assert_close(square["quat"], L[i] ** 2 @ before["exp_avg_sq"]["quat"][i])
+
+
+def test_normal_is_the_smallest_eigenvector_of_the_covariance(generator):
+    model = SurfelModel(sh_degree=0)
+    model.append(discs(20, generator))
+    R = quaternion.to_matrix(model.params.quat)
+    covariance = R @ torch.diag_embed(model.scale_m**2) @ R.transpose(1, 2)
+    smallest = torch.linalg.eigh(covariance.double()).eigenvectors[:, :, 0].float()
+    torch.testing.assert_close((smallest * model.normal_W).sum(1).abs(), torch.ones(20))
+
+
+def test_radius_is_the_mean_of_the_two_largest():
+    assert one_disc((0.01, 0.03, 0.05)).radius_m.item() == pytest.approx(0.04)
+    assert one_disc((0.06, 0.001, 0.02)).radius_m.item() == pytest.approx(0.04)
+
+
+def test_a_reused_row_remembers_nothing(generator):
+    model = SurfelModel(sh_degree=0)
+    model.append(discs(6, generator))
+    for name in COUNTERS:
+        getattr(model, name).fill_(9)
+    model.keep(torch.arange(6) < 2)
+    model.append(discs(4, generator))
+    for name in COUNTERS:
+        assert getattr(model, name).tolist() == [9, 9, 0, 0, 0, 0]
+
+
+def test_transparent_and_opaque_by_the_opacity_at_birth(generator):
+    model = SurfelModel(sh_degree=0)
+    model.append(discs(2, generator, TRANSPARENT))
+    model.append(discs(3, generator, OPAQUE))
+    assert model.is_transparent.tolist() == [True, True, False, False, False]
+    model.state[torch.tensor([0, 2, 3])] = STABLE
+    assert state_counts(model) == {
+        "stable_opaque": 2,
+        "stable_transparent": 1,
+        "unstable_opaque": 1,
+        "unstable_transparent": 1,
+    }
+    assert (UNSTABLE, STABLE) == (0, 1)
+
+
+def test_no_moments_are_kept(generator):
+    model = SurfelModel(sh_degree=0)
+    assert not any(name.startswith("exp_avg") for name in model.state_dict()["rows"])
+
+
+def test_a_moved_anchor_stays_where_it_was_beside_its_row(generator):
+    model = SurfelModel(sh_degree=0)
+    model.append(discs(10, generator))
+    model.params.xyz_W.add_(0.1)
+    model.params.quat.add_(0.3)
+    gap = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(model.params.quat)
+    model.move(motions(10, generator))
+    moved = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(model.params.quat)
+    torch.testing.assert_close(moved, gap, atol=1e-5, rtol=1e-5)
+    apart = (model.params.xyz_W - model.anchor["xyz_W"]).norm(dim=1)
+    torch.testing.assert_close(apart, torch.full((10,), 0.1 * math.sqrt(3)), atol=1e-5, rtol=1e-5)
+
+
+NOTHING = Transitions(stabilised=0, released=0, expired=0, oversized=0)
+
+
+def test_views_count_where_the_centre_is_in_the_picture():
+    model = surfels(6)
+    model.params.xyz_W.copy_(  # ahead, behind, at the left edge inside and outside, below, far ahead
+        torch.tensor(
+            [[0.0, 0, 1], [0, 0, -1], [-0.99, 0, 1], [-1.01, 0, 1], [0, 0.76, 1], [0, 0, 100]], dtype=torch.float32
+        )
+    )
+    camera = Camera(width=8, height=6, fx=4.0, fy=4.0, cx=4.0, cy=3.0)
+    count_views(model, camera, torch.eye(4))
+    assert model.frames_in_view.tolist() == [1, 0, 1, 0, 0, 1]
+    turned = torch.diag(torch.tensor([-1.0, 1, -1, 1]))  # by half a turn
+    count_views(model, camera, turned)
+    assert model.frames_in_view.tolist() == [1, 1, 1, 0, 0, 1]
+
+
+def test_a_row_that_becomes_stable_at_the_last_moment_stays():
+    model = surfels(1, now=1000)
+    model.confidence.fill_(101)
+    assert change_states(model, CONFIG) == Transitions(stabilised=1, released=0, expired=0, oversized=0)
+    assert len(model) == 1
+
+
+def test_without_a_radius_limit_none_goes():
+    model = surfels(30)
+    model.params.log_scale[0] = 5.0
+    assert change_states(model, StateConfig(max_radius_factor=None)) == NOTHING
+
+
+def test_errors_add_up_over_frames():
+    model = surfels(1, stable=(0,))
+    for _ in range(11):
+        assert model.is_stable.all()
+        count_errors(model, *images([0.5], [0], [0.0], [-1]), CONFIG)
+        change_states(model, CONFIG)
+    assert not model.is_stable.any()

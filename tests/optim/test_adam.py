@@ -364,3 +364,25 @@ def test_a_part_knows_whether_its_map_has_changed(generator):
     assert model.last_step.tolist() == [1, 0, 0, 0, 1, 0, 0, 0, 0]
     model.params.xyz_W.add_(1.0)
     assert not part.is_current
+
+
+@pytest.mark.parametrize("still", [("xyz_W",), ("xyz_W", "log_scale", "quat"), ("sh_dc", "sh_rest")])
+def test_groups_at_rate_zero_are_left_alone(still, generator):
+    params = rows(4, generator)
+    before = copy(params)
+    adam = RowAdam(params, RATES | dict.fromkeys(still, 0.0))
+    for _ in range(5):
+        adam.step(rows(4, generator))
+    unmoved = {name for name in PARAMETERS if torch.equal(getattr(params, name), getattr(before, name))}
+    expected = set(still) & set(PARAMETERS) | {"opacity_logit"} | ({"sh"} if "sh_dc" in still else set())
+    assert unmoved == expected
+
+
+def test_no_gradient_moves_nothing(generator):
+    params = rows(3, generator)
+    before = copy(params)
+    adam = RowAdam(params, RATES)
+    for _ in range(3):
+        adam.step(GaussianParams(**{name: torch.zeros_like(value) for name, value in vars(params).items()}))
+    for name in PARAMETERS:
+        assert torch.equal(getattr(params, name), getattr(before, name))

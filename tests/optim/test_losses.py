@@ -245,3 +245,46 @@ def test_penalties_are_added_to_the_gradients(generator):
     torch.testing.assert_close(after.opacity_logit, before.opacity_logit + mean_opacity_vjp(logit, 2.0))
     assert torch.equal(after.xyz_W, before.xyz_W)
     assert add_penalties_(after, params, isotropy=0.0, scale=0.0, opacity=0.0) == 0
+
+
+def params(value: float, quat: tuple[float, ...], n: int = 1, opacity_logit: float = 0.0) -> GaussianParams:
+    return GaussianParams(
+        xyz_W=torch.full((n, 3), value),
+        log_scale=torch.full((n, 3), value - 5),
+        quat=torch.tensor([quat]).repeat(n, 1),
+        opacity_logit=torch.full((n,), opacity_logit),
+        sh=torch.full((n, 4, 3), 10 * value),
+    )
+
+
+def about_z(degrees: float) -> tuple[float, ...]:
+    half = math.radians(degrees) / 2
+    return (math.cos(half), 0.0, 0.0, math.sin(half))
+
+
+def counts(*values: int) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.int32)
+
+
+def test_equal_images_have_no_dssim(generator):
+    x, _ = pair(20, 31, generator)
+    loss, v = dssim_vjp(x, x)
+    assert loss.item() == pytest.approx(0, abs=1e-12)
+    assert v.abs().max() < 1e-12
+
+
+def test_equal_images_have_no_gradient(generator):
+    rgb, depth_m, _, _, pixels = pictures(generator)
+    loss = rgbd_l1_vjp(rgb, depth_m, rgb, depth_m, pixels)
+    assert loss.total == 0.0
+    assert not loss.v_rgb.any()
+    assert not loss.v_depth_m.any()
+
+
+def test_values_outside_the_mask_may_be_anything(generator):
+    rgb, depth_m, target, target_m, pixels = pictures(generator)
+    clean = rgbd_l1_vjp(rgb, depth_m, target, target_m, pixels)
+    rgb[~pixels] = math.nan
+    loss = rgbd_l1_vjp(rgb, depth_m, target, target_m, pixels)
+    assert loss.total == clean.total
+    assert torch.equal(loss.v_rgb, clean.v_rgb)

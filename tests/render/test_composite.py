@@ -230,3 +230,15 @@ def test_does_not_depend_on_the_tile_size(scene, generator, tile_px):
     g_usual, g_other = composite_vjp(usual.saved, v), composite_vjp(other.saved, v)
     for name in NAMES:
         torch.testing.assert_close(getattr(g_other, name), getattr(g_usual, name), atol=1e-10, rtol=1e-9)
+
+
+def test_inputs_are_left_alone(scene, generator):
+    projection, rgb = screen(scene, generator, 20)
+    before = [x.clone() for x in splats(projection, rgb)]
+    image = composite(*splats(projection, rgb), tile_intersections(projection, scene.camera), scene.camera)
+    v = torch.ones(19, 27, 3, dtype=torch.float64)
+    first, second = composite_vjp(image.saved, v), composite_vjp(image.saved, v)
+    for name in NAMES:
+        assert torch.equal(getattr(first, name), getattr(second, name)), "the gradient can be asked for twice"
+    for x, b in zip(splats(projection, rgb), before, strict=True):
+        assert torch.equal(x, b)

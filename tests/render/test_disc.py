@@ -12,6 +12,7 @@ from gsfusion_nb.render import (
     blended_depth_m,
     disc_depth,
     disc_depth_vjp,
+    project_gaussians,
     render,
     render_forward,
     surface_depth_m,
@@ -288,3 +289,83 @@ def test_a_gradient_of_another_size_is_refused():
 def test_a_hit_of_another_map_is_refused():
     with pytest.raises(ValueError, match="hit_index must name rows of the 1 Gaussians, got 1; take the hit_index"):
         disc_depth(leaning_disc(30), CAMERA, EYE, everywhere() + 1)
+
+
+def test_only_on_request(scene, generator):
+    params = scene.random_map(generator, 10)
+    plain, asked = (render_forward(params, scene.camera, scene.pose, opaque_alpha=o)[0] for o in (None, 0.5))
+    assert plain.hit_index is None
+    assert asked.hit_index.dtype == torch.int64
+    for name in ("rgb", "depth_m", "alpha", "first_index", "dominant_index"):
+        assert torch.equal(getattr(plain, name), getattr(asked, name))
+    with pytest.raises(ValueError, match="opaque_alpha must be > 0"):
+        render_forward(params, scene.camera, scene.pose, opaque_alpha=0.0)
+
+
+@pytest.mark.parametrize("opacity", [(0.05, 0.7), (0.6, 0.9999)], ids=["thin", "opaque"])
+def test_hits_agree_with_a_loop_over_pixels(scene, generator, opacity):
+    params = scene.random_map(generator, 40, opacity=opacity, scale=0.25)
+    found = render_forward(params, scene.camera, scene.pose, opaque_alpha=0.55)[0].hit_index
+    p = project_gaussians(params, scene.camera, scene.pose)
+    A, B, C = p.conic.unbind(1)
+    Q = torch.stack([A, B, B, C], dim=1).view(-1, 2, 2)
+    order = p.depth_m.argsort()
+    # the centre of pixel (y, x) from each Gaussian, nearest first
+    grid = pixel_grid(scene.camera, dtype=torch.float64)
+    d = grid[..., None, :] - p.uv[order]
+    alphas = (p.opacity[order] * torch.exp(-0.5 * torch.einsum("yxni,nij,yxnj->yxn", d, Q[order], d))).clamp(max=0.99)
+    expected = torch.full_like(found, -1)
+    for y, row in enumerate(alphas.tolist()):
+        for x, pixel in enumerate(row):
+            for n, alpha in zip(order.tolist(), pixel, strict=True):
+                if alpha >= 0.55:
+                    expected[y, x] = n
+                    break
+    assert torch.equal(found, expected)
+    assert len(expected.unique()) > 3
+
+
+def test_no_gaussians_at_all(scene, generator):
+    params = scene.random_map(generator, 3)[:0]
+    hit_index = render_forward(params, scene.camera, scene.pose, opaque_alpha=0.6)[0].hit_index
+    assert (hit_index == -1).all()
+    assert not disc_depth(params, scene.camera, scene.pose, hit_index).depth_m.any()
+    v_xyz, v_quat = disc_depth_vjp(params, scene.camera, scene.pose, hit_index, torch.ones(19, 27, dtype=torch.float64))
+    assert v_xyz.shape == (0, 3)
+    assert v_quat.shape == (0, 4)
+
+
+def test_wrong_arguments_are_named():
+    params, hit = leaning_disc(0), everywhere()
+    with pytest.raises(ValueError, match="rows of the 1 Gaussians, got 1"):
+        disc_depth(params, CAMERA, EYE, hit + 1)
+    with pytest.raises(ValueError, match="hit_index must be"):
+        disc_depth(params, CAMERA, EYE, hit[1:])
+    with pytest.raises(ValueError, match="min_cosine must be > 0"):
+        disc_depth(params, CAMERA, EYE, hit, min_cosine=0.0)
+
+
+def test_a_flat_disc_by_hand():
+    view = view_surface(discs((2.0, 0.5, 0.99)), CAMERA_SURFACE, torch.eye(4))
+    seen = view.hit_index == 0
+    # alpha = 0.99 exp(-d^2 / 2 (7.5^2 + 0.3)) px; a disc is hit down to exp(-0.5)
+    i, j = torch.arange(21) + 0.5 - 10.5, torch.arange(15) + 0.5 - 7.5
+    d2 = i[None, :] ** 2 + j[:, None] ** 2
+    alpha = 0.99 * torch.exp(-d2 / (2 * (7.5**2 + 0.3)))
+    assert torch.equal(seen, alpha >= math.exp(-0.5))
+    torch.testing.assert_close(view.depth_m, torch.where(seen, 2.0, 0.0))
+    torch.testing.assert_close(view.normal_W[seen], torch.tensor([0.0, 0, -1]).expand(int(seen.sum()), 3))
+    assert not view.normal_W[~seen].any()
+    drawn = alpha >= 1 / 255
+    torch.testing.assert_close(view.transmittance[drawn], 1 - alpha[drawn].clamp(max=0.99), atol=1e-5, rtol=0)
+    assert (view.dominant_index == 0).all()
+
+
+def test_some_pixels_only(scene, generator):
+    params = scene.random_map(generator, 30, opacity=(0.7, 0.99), scale=0.3, dtype=torch.float32)
+    pixels = torch.rand(scene.camera.height, scene.camera.width, generator=generator) < 0.3
+    T_WC = scene.pose.float()
+    whole, part = (view_surface(params, scene.camera, T_WC, pixels=p) for p in (None, pixels))
+    assert torch.equal(part.depth_m, torch.where(pixels, whole.depth_m, 0.0))
+    assert torch.equal(part.hit_index, torch.where(pixels, whole.hit_index, -1))
+    torch.testing.assert_close(part.rgb, torch.where(pixels[..., None], whole.rgb, 0.0))

@@ -7,7 +7,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.render import footprints, project_gaussians, render, render_forward, rows_in_view
+from gsfusion_nb.render import footprints, project_gaussians, render, render_forward, rows_in_view, tile_intersections
 from gsfusion_nb.types import Camera, GaussianParams
 
 CAMERA = Camera(width=40, height=30, fx=100.0, fy=100.0, cx=20.0, cy=15.0)
@@ -130,3 +130,15 @@ def test_what_was_blended_at_a_pixel_gives_its_colour(generator):
             assert (tile, place) in places[row]
     assert longest > 5
     assert sum(map(len, places.values())) == int(screen.tiles.offset[-1])
+
+
+def test_the_others_are_in_no_tile_s_list(generator):
+    params = around(generator, 3000, scale=0.03)
+    drawn = tile_intersections(project_gaussians(params, CAMERA_IN_VIEW, torch.eye(4)), CAMERA_IN_VIEW).gaussian
+    assert len(drawn) > 1000
+    assert rows_in_view(params, CAMERA_IN_VIEW, torch.eye(4))[drawn].all()
+
+
+def test_no_rows():
+    params = around(torch.Generator().manual_seed(0), 5, scale=0.1)
+    assert rows_in_view(params[:0], CAMERA_IN_VIEW, torch.eye(4)).shape == (0,)

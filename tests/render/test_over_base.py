@@ -244,3 +244,17 @@ def test_a_base_is_a_base():
     params, camera, T_WC, base, _ = three_gaussians(torch.float64)
     with pytest.raises(ValueError, match="base must be a Base, got Tensor"):
         render_over_base.__wrapped__(params, camera, T_WC, base.rgb, behind_m=BEHIND_M)
+
+
+def test_what_it_refuses(scene, generator):
+    params, base = scene.random_map(generator, 3), picture(scene.camera, generator)
+    for name, bad, message in (
+        ("rgb", base.rgb[1:], r"base.rgb must be \[19, 27, 3\], got \[18, 27, 3\]"),
+        ("depth_m", base.depth_m.float(), "base.depth_m must be torch.float64"),
+    ):
+        wrong = object.__new__(Base)  # as after -O: shapes are not checked when it is made
+        wrong.__dict__.update(vars(base) | {name: bad})
+        with pytest.raises(ValueError, match=message):
+            render_over_base(params, scene.camera, scene.pose, wrong, behind_m=BEHIND_M)
+    with pytest.raises(ValueError, match="behind_m must be"):
+        render_over_base(params, scene.camera, scene.pose, base, behind_m=-1.0)

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.render import render_forward, render_vjp
+from gsfusion_nb.render import project_gaussians, render_forward, render_vjp, tile_intersections
 from gsfusion_nb.types import Camera, GaussianParams
 
 IMAGES = ("rgb", "depth_m", "alpha", "first_index", "dominant_index", "hit_index")
@@ -113,3 +113,39 @@ def test_finite_differences_of_some_rows(scene, generator):
         return tuple(g[rows] for g in columns(render_vjp(saved, *v, rows=rows)))
 
     scene.finite_difference_check(forward, vjp, [c[rows] for c in columns(params)], generator)
+
+
+def test_tiles_without_a_wanted_pixel_are_empty(scene, generator):
+    params = scene.random_map(generator, 60, scale=0.25)
+    projection = project_gaussians(params, scene.camera, scene.pose)
+    pixels = masks(scene.camera.height, scene.camera.width, generator)["rectangle"]
+    whole = tile_intersections(projection, scene.camera, tile_px=4)
+    lists = tile_intersections(projection, scene.camera, tile_px=4, pixels=pixels)
+    active = 0
+    for tile in range(lists.tiles_x * lists.tiles_y):
+        y, x = 4 * (tile // lists.tiles_x), 4 * (tile % lists.tiles_x)
+        a, b = (t.gaussian[t.offset[tile] : t.offset[tile + 1]] for t in (whole, lists))
+        wanted = bool(pixels[y : y + 4, x : x + 4].any())
+        active += wanted
+        assert torch.equal(b, a if wanted else a[:0])
+    assert 0 < active < lists.tiles_x * lists.tiles_y
+
+
+def test_no_gaussians(scene, generator):
+    params = scene.random_map(generator, 3)[:0]
+    pixels = masks(scene.camera.height, scene.camera.width, generator)["scattered"]
+    out, saved = render_forward(params, scene.camera, scene.pose, opaque_alpha=0.5, pixels=pixels)
+    assert not out.alpha.any()
+    assert (out.hit_index == -1).all()
+    gradient = render_vjp(saved, *cotangents(generator, scene.camera), rows=torch.zeros(0, dtype=torch.bool))
+    assert [g.shape for g in columns(gradient)] == [c.shape for c in columns(params)]
+
+
+def test_wrong_sizes_are_named(scene, generator):
+    params = scene.random_map(generator, 3)
+    everywhere = torch.ones(scene.camera.height, scene.camera.width, dtype=torch.bool)
+    with pytest.raises(ValueError, match=r"pixels must be \[19, 27\], got \[19, 26\]"):
+        render_forward(params, scene.camera, scene.pose, pixels=everywhere[:, 1:])
+    _, saved = render_forward(params, scene.camera, scene.pose, pixels=everywhere)
+    with pytest.raises(ValueError, match=r"rows must be \[3\], got \[2\]"):
+        render_vjp(saved, torch.zeros(19, 27, 3), rows=torch.ones(2, dtype=torch.bool))

@@ -287,3 +287,15 @@ def test_a_second_derivative_is_refused(scene, generator):
     out = render_autograd(params, scene.camera, scene.pose @ se3.exp(xi))
     with pytest.raises(RuntimeError, match="create_graph"):
         torch.autograd.grad(out.rgb.square().sum(), xi, create_graph=True)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_no_gaussians(scene, generator, dtype):
+    p = project_gaussians(scene.random_map(generator, 0, dtype=dtype), scene.camera, scene.pose)
+    assert p.uv.shape == (0, 2)
+    assert p.uv.dtype == dtype
+
+
+def test_is_zero_without_gaussians(scene, generator):
+    params, v = scene.random_map(generator, 0), images_vjp(generator, scene.camera)
+    assert torch.equal(found(params, scene, v), torch.zeros(6, dtype=torch.float64))

@@ -166,3 +166,35 @@ def test_depth_and_alpha_gradients_default_to_zero(scene, generator):
         columns(render_vjp(saved, v_rgb)), columns(render_vjp(saved, v_rgb, 0 * v_depth, 0 * v_alpha)), strict=True
     ):
         assert torch.equal(a, b)
+
+
+def test_all_behind_the_camera(scene, generator):
+    params = scene.random_map(generator, 10)
+    turned = scene.pose.clone()
+    turned[:3, 0], turned[:3, 2] = -turned[:3, 0], -turned[:3, 2]
+    out, saved = render_forward(params, scene.camera, turned)
+    assert (out.alpha == 0).all()
+    gradient = render_vjp(saved, *cotangents(generator, scene.camera))
+    assert all((g == 0).all() for g in columns(gradient))
+
+
+def test_float32_is_close_to_float64(scene, generator):
+    params = scene.random_map(generator, 300, degree=3)
+    single = scene.random_map(torch.Generator().manual_seed(0), 300, degree=3, dtype=torch.float32)
+    v = cotangents(generator, scene.camera)
+    exact, saved = render_forward(params, scene.camera, scene.pose)
+    out, saved_single = render_forward(single, scene.camera, scene.pose)
+    # one step of a 1/255 or 1e-4 threshold may differ at a few pixels
+    assert (out.rgb.double() - exact.rgb).abs().median() < 1e-6
+    assert ((out.rgb.double() - exact.rgb) ** 2).mean() < 1e-8
+    gradients = columns(render_vjp(saved_single, *(x.float() for x in v))), columns(render_vjp(saved, *v))
+    for a, b in zip(*gradients, strict=True):
+        assert torch.cosine_similarity(a.double().flatten(), b.flatten(), dim=0) > 0.9999
+
+
+def test_without_indices(scene, generator):
+    params = scene.random_map(generator, 10)
+    full, bare = (render_forward(params, scene.camera, scene.pose, with_indices=w)[0] for w in (True, False))
+    assert torch.equal(full.rgb, bare.rgb)
+    assert bare.first_index is None
+    assert bare.dominant_index is None

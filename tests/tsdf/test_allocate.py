@@ -99,3 +99,15 @@ def test_empty_depth_and_bad_pose(camera, make_frame):
     with pytest.raises(ValueError, match="T_WC must be finite"):
         allocate(volume, make_frame(torch.ones(120, 160), camera, pose))
     assert volume.n_blocks == 0
+
+
+def test_shifted_world_shifts_the_blocks(camera, look_from, sphere_depth, make_frame):
+    T_WC = look_from((0.9, 1.2, -0.4))
+    depth = sphere_depth(camera, T_WC)
+    moved = T_WC.clone()
+    moved[:3, 3] += torch.tensor([-1024.0, 512.0, -256.0])
+    config = dataclasses.replace(CONFIG, voxel_size_m=1 / 64)
+    here = band_blocks(TsdfVolume(config), make_frame(depth, camera, T_WC))
+    there = band_blocks(TsdfVolume(config), make_frame(depth, camera, moved)) - torch.tensor([-8192, 4096, -2048])
+    a, b = set(map(tuple, here.tolist())), set(map(tuple, there.tolist()))
+    assert len(a ^ b) <= 0.01 * len(a)  # the pose itself is float32: 60 micrometres there

@@ -300,3 +300,25 @@ def test_opencv_finds_its_surface_where_ours_is(camera, make_frame, look_from, s
     error = D[valid].abs() * ours.config.truncation_m
     assert float(valid.float().mean()) > 0.85  # theirs also fills cells with unobserved corners
     assert float(error.median()) < 0.1 * voxel
+
+
+def test_frames_that_change_nothing(camera, make_frame):
+    volume = TsdfVolume(CONFIG)
+    report = integrate(volume, make_frame(torch.zeros(120, 160), camera))
+    assert (report.new_blocks, report.updated_voxels) == (0, 0)
+    integrate(volume, make_frame(torch.full((120, 160), 1.0), camera))
+    state = volume.state_dict()
+    away = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))  # looks the other way
+    report = integrate(volume, make_frame(torch.zeros(120, 160), camera, away))
+    assert report.updated_voxels == 0
+    hidden = integrate(volume, make_frame(torch.full((120, 160), 0.5), camera))
+    assert torch.equal(state["W"], volume.W[: state["W"].shape[0]]) or hidden.updated_voxels > 0
+    assert float(volume.sample_nearest(torch.tensor([[0.0, 0.0, 0.99]])).W) == 1.0  # behind what the last frame saw
+
+
+def test_inputs_are_not_modified(camera, make_frame):
+    frame = make_frame(torch.full((120, 160), 1.0), camera)
+    copies = [t.clone() for t in (frame.depth_m, frame.rgb, frame.T_WC)]
+    integrate(TsdfVolume(CONFIG), frame)
+    for before, after in zip(copies, (frame.depth_m, frame.rgb, frame.T_WC), strict=True):
+        assert torch.equal(before, after)

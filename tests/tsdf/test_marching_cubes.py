@@ -1,3 +1,4 @@
+import importlib
 from collections import Counter
 
 import pytest
@@ -193,3 +194,23 @@ def test_a_vertex_has_the_colour_of_its_place(filled_volume):
     volume.rgb_planes.copy_(colour(centres).view(-1, 512, 3).transpose(1, 2))
     mesh = extract_mesh(volume)
     torch.testing.assert_close(mesh.rgb, colour(mesh.vertices_W), atol=1e-5, rtol=0)
+
+
+def test_sphere_far_away_with_negative_coordinates(filled_volume):
+    centre = (-70.0, 33.0, -12.5)
+    low = [int((c - 0.4) // 0.16) for c in centre]
+    volume = filled_volume(lambda p: sphere(p, centre), low, [b + 6 for b in low])
+    mesh = extract_mesh(volume)
+    check_closed(mesh)
+    assert float(sphere(mesh.vertices_W.double(), centre).abs().max()) < 2e-4  # h^2 / 8 R again
+
+
+def test_chunks_do_not_show(filled_volume, monkeypatch):
+    volume = filled_volume(sphere, (-3, -3, -3), (3, 3, 3))
+    whole = extract_mesh(volume)
+    module = importlib.import_module("gsfusion_nb.tsdf.marching_cubes")
+    monkeypatch.setattr(module, "BLOCKS_AT_A_TIME", 7)
+    parts = extract_mesh(volume)
+    assert torch.equal(whole.vertices_W, parts.vertices_W)
+    assert torch.equal(whole.faces, parts.faces)
+    assert torch.equal(whole.rgb, parts.rgb)

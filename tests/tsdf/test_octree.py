@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from gsfusion_nb.tsdf import octree
+from gsfusion_nb.tsdf import octree as morton
 from gsfusion_nb.tsdf.octree import BlockIndex
 
 
@@ -142,3 +143,13 @@ def test_refuses_what_does_not_fit():
     with pytest.raises(ValueError, match=r"must lie in \[-1048576, 1048576\), got 0 to 1048576"):
         octree.encode(torch.tensor([[0, 0, octree.OFFSET]]))
     assert octree.encode(torch.zeros(0, 3, dtype=torch.int64)).shape == (0,)
+
+
+def test_parent_holds_its_eight_children():
+    block = torch.tensor([[-3, 4, 7]])
+    children = torch.tensor([[2 * -3 + (c & 1), 8 + (c >> 1 & 1), 14 + (c >> 2)] for c in range(8)])
+    parents = morton.encode(children) >> 3
+    # One level up, coordinates and their offset are halved.
+    expected = morton.encode(block + morton.OFFSET // 2 - morton.OFFSET)
+    assert parents.tolist() == expected.expand(8).tolist()
+    assert (morton.encode(children) & 7).tolist() == list(range(8))
