@@ -151,3 +151,14 @@ def test_noise_of_known_size_is_measured(generator):
 def test_scores_of_too_short_a_path():
     with pytest.raises(ValueError, match="at least 3 positions, got 2"):
         trajectory_scores(torch.eye(4).repeat(2, 1, 1), torch.eye(4).repeat(2, 1, 1))
+
+
+@pytest.mark.parametrize("score", [ate_rmse, rpe, trajectory_scores])
+@pytest.mark.parametrize("which", [0, 1])
+def test_every_score_refuses_poses_that_are_not_finite(score, which, generator):
+    paths = [random_path(generator, 5), random_path(generator, 5)]
+    paths[which][2, 0, 3] = torch.inf
+    with pytest.raises(ValueError, match=("estimate", "reference")[which] + " must be finite"):
+        score(*paths)
+    with pytest.raises(ValueError, match="at least one pose, got none"):
+        score(paths[0][:0], paths[1][:0])

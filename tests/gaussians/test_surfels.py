@@ -396,11 +396,6 @@ def test_normal_is_the_smallest_eigenvector_of_the_covariance(generator):
     torch.testing.assert_close((smallest * model.normal_W).sum(1).abs(), torch.ones(20))
 
 
-def test_radius_is_the_mean_of_the_two_largest():
-    assert one_disc((0.01, 0.03, 0.05)).radius_m.item() == pytest.approx(0.04)
-    assert one_disc((0.06, 0.001, 0.02)).radius_m.item() == pytest.approx(0.04)
-
-
 def test_a_reused_row_remembers_nothing(generator):
     model = SurfelModel(sh_degree=0)
     model.append(discs(6, generator))
@@ -446,21 +441,6 @@ def test_a_moved_anchor_stays_where_it_was_beside_its_row(generator):
 
 
 NOTHING = Transitions(stabilised=0, released=0, expired=0, oversized=0)
-
-
-def test_views_count_where_the_centre_is_in_the_picture():
-    model = surfels(6)
-    model.params.xyz_W.copy_(  # ahead, behind, at the left edge inside and outside, below, far ahead
-        torch.tensor(
-            [[0.0, 0, 1], [0, 0, -1], [-0.99, 0, 1], [-1.01, 0, 1], [0, 0.76, 1], [0, 0, 100]], dtype=torch.float32
-        )
-    )
-    camera = Camera(width=8, height=6, fx=4.0, fy=4.0, cx=4.0, cy=3.0)
-    count_views(model, camera, torch.eye(4))
-    assert model.frames_in_view.tolist() == [1, 0, 1, 0, 0, 1]
-    turned = torch.diag(torch.tensor([-1.0, 1, -1, 1]))  # by half a turn
-    count_views(model, camera, turned)
-    assert model.frames_in_view.tolist() == [1, 1, 1, 0, 0, 1]
 
 
 def test_a_row_that_becomes_stable_at_the_last_moment_stays():

@@ -3,7 +3,7 @@ import tempfile
 import torch
 
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.optim import KeyframeList
+from gsfusion_nb.optim import KeyframeList, TrainingView
 from gsfusion_nb.optim import keyframes as keyframes_module
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.work import MAP_MEMORY
@@ -115,3 +115,18 @@ def test_images_beyond_what_memory_may_hold_are_in_files(monkeypatch, tmp_path):
         assert all(torch.equal(x.rgb_u8, keyframes(4)[i].rgb_u8) for i, x in enumerate(kept))
         assert all(bool((x.depth_m == 1).all()) for x in kept)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_view_without_depth_has_depth_nowhere():
+    """Of a frame, a keyframe that kept its depth, and one that did not. All pixels count unless some are given."""
+    k = KeyframeList()
+    k.append(frame(0), with_depth=True)
+    k.append(frame(1))
+    some = torch.zeros(3, 4, dtype=torch.bool)
+    some[1, 2] = True
+    for source, depth in ((frame(0), 1.0), (k[0], 1.0), (k[1], 0.0)):
+        view = TrainingView.of(source)
+        assert torch.equal(view.depth_m, torch.full((3, 4), depth))
+        assert view.pixels.all()
+        assert view.index == source.index
+        assert torch.equal(TrainingView.of(source, some).pixels, some)

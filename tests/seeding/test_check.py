@@ -192,3 +192,9 @@ class KeepsTheFrame(MapRule):
 def test_broken_class_rules_are_named(rule, error, sentence):
     with pytest.raises(error, match=sentence):
         check_rule(rule)
+
+
+def near_only(ctx: SeedContext, *, max_range_m: float = 1.5) -> Seeds:
+    """The example rule of the design notes."""
+    cells = ctx.cells()
+    return cells[(cells.xyz_W - ctx.frame.T_WC[:3, 3]).norm(dim=-1) < max_range_m]

@@ -1,6 +1,7 @@
 """What a rule is given: seeds from cells, voxel lookups, views of the map."""
 
 import dataclasses
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -108,3 +109,21 @@ def test_render_shows_the_map_where_it_is():
     assert out.first_index is not None
     assert 0 <= out.first_index.max() < len(ctx.map)
     assert float(check_contexts()["new"].render().alpha.max()) == 0.0
+
+
+def test_normals_face_the_camera_and_turn_with_the_pose():
+    T_WC = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, math.pi / 2, 0.0]))
+    ctx = SeedContext(frame(torch.full((5, 5), 1.0), T_WC=T_WC))
+    torch.testing.assert_close(ctx.normals()[2, 2], torch.tensor([0.0, 0.0, -1.0]))
+    torch.testing.assert_close(ctx.normals_W()[2, 2], torch.tensor([-1.0, 0.0, 0.0]), atol=1e-6, rtol=0)
+    assert ctx.normals() is ctx.normals()
+
+
+def test_volume_lookups():
+    ctx = SeedContext(frame(torch.ones(2, 2)), FakeVolume())
+    xyz = torch.tensor([[0.1, 0.6, -0.1], [1.6, -0.6, 0.0]])
+    assert ctx.voxel_weight(xyz).tolist() == [0.0, 3.0]
+    assert ctx.tsdf(xyz).tolist() == pytest.approx([0.0, 0.3])
+    assert ctx.voxel_index(xyz).tolist() == [[0, 1, -1], [3, -2, 0]]
+    assert ctx.voxel_index(xyz).dtype == torch.int64
+    assert ctx.near_m == 0.7

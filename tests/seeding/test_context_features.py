@@ -8,7 +8,8 @@ import torch
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
-from gsfusion_nb.seeding import SeedContext, Seeds
+from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
+from gsfusion_nb.seeding.image_features import absolute_laplacian, box_blur, disc_blur, halved
 from gsfusion_nb.tsdf import FusedView, TsdfVolume, fuse_frame_, new_band_blocks, raycast
 from gsfusion_nb.types import Camera, Frame
 
@@ -130,3 +131,84 @@ def test_directions_need_a_window_with_a_middle(window_px):
 def test_a_context_says_what_it_lacks(ask, sentence):
     with pytest.raises(ValueError, match=sentence):
         ask(SeedContext(frame()))
+
+
+def test_detail_of_the_picture():
+    ctx = square()
+    assert ctx.grey()[10, 15].item() == pytest.approx(0.9999, abs=1e-4)
+    assert ctx.gradient()[15, 9:12].tolist() == pytest.approx([0.5, 0.5, 0.0], abs=1e-3)
+    lap = ctx.laplacian()
+    assert lap[15, 8:13].tolist() == [0.0, 3.0, 3.0, 0.0, 0.0]
+    assert lap[8, 10].item() == 6.0  # a corner of the square
+    assert ctx.laplacian() is lap
+    thin, wide = ctx.edges(), ctx.edges(dilate_px=2)
+    assert thin.any()
+    assert not thin[12:18, 13:27].any()
+    assert (wide & ~thin).any()
+    assert not (thin & ~wide).any()
+
+
+def one_per_5_cm(ctx: SeedContext) -> Seeds:
+    seeds = ctx.seeds_at(ctx.pixels(), 1.0)
+    seeds = seeds[~ctx.occupied(seeds.xyz_W, 0.05)]
+    return seeds[ctx.first_in_voxel(seeds.xyz_W, 0.05)]
+
+
+def test_one_gaussian_a_voxel_across_frames():
+    model = GaussianModel(sh_degree=0)
+    for shift in (0.0, 0.01, 0.3):
+        view = frame()
+        view.T_WC[0, 3] = shift
+        model.append(apply_rule(one_per_5_cm, SeedContext(view, gaussians=model)))
+    voxels = (model.params.xyz_W / 0.05).floor()
+    assert len(voxels.unique(dim=0)) == len(model) > 100
+
+
+def test_outliers_are_far_from_all_others():
+    points = torch.rand(200, 3, generator=torch.Generator().manual_seed(0))
+    points[7] += 10.0
+    ctx = SeedContext(frame())
+    assert ctx.outliers(points).nonzero()[:, 0].tolist() == [7]
+    assert ctx.outliers(points[:1]).tolist() == [False]
+
+
+def test_first_in_a_voxel_and_voxels_that_are_held():
+    points = torch.tensor([[0.01, 0, 0], [0.09, 0, 0], [-0.01, 0, 0], [0.11, 0, 0], [0.19, 0.05, 0.09]])
+    ctx = with_map(torch.tensor([[0.05, 0.05, 0.05], [-0.05, 0.15, 0.0]]))
+    assert ctx.first_in_voxel(points, 0.1).tolist() == [True, False, True, True, False]
+    assert ctx.occupied(points, 0.1).tolist() == [True, True, False, False, False]
+    assert not SeedContext(frame()).occupied(points, 0.1).any()
+
+
+def test_the_laplacian_of_a_parabola_and_of_a_dot():
+    u, v = torch.meshgrid(torch.arange(9.0), torch.arange(7.0), indexing="xy")
+    rgb = torch.stack([0.01 * u * u, -0.02 * v * v, 0.1 * u + 0.2 * v], dim=-1)
+    inside = absolute_laplacian(rgb)[1:-1, 1:-1]
+    torch.testing.assert_close(inside, torch.full((5, 7), 0.02 + 0.04), atol=1e-5, rtol=0)
+    dot = torch.zeros(5, 5, 3)
+    dot[2, 2, 0] = 1.0
+    expected = torch.zeros(5, 5)
+    expected[2, 2] = 4.0
+    expected[1, 2] = expected[3, 2] = expected[2, 1] = expected[2, 3] = 1.0
+    assert torch.equal(absolute_laplacian(dot), expected)
+    corner = torch.zeros(5, 5, 3)
+    corner[0, 0] = 1.0  # two of its neighbours are outside and equal it
+    assert absolute_laplacian(corner)[0, :2].tolist() == [6.0, 3.0]
+
+
+def test_blurs_of_a_dot_are_their_windows():
+    dot = torch.zeros(9, 9)
+    dot[4, 4] = 1.0
+    assert int((disc_blur(dot, 3.5) > 0).sum()) == 37  # the pixels within 3.5
+    assert float(disc_blur(dot, 3.5).sum()) == pytest.approx(1.0)
+    assert float(disc_blur(dot, 3.5)[4, 4]) == pytest.approx(1 / 37)
+    box = box_blur(dot[..., None], 5)[..., 0]
+    assert int((box > 0).sum()) == 25
+    assert float(box[4, 4]) == pytest.approx(1 / 25)
+    torch.testing.assert_close(box_blur(torch.full((4, 6, 2), 0.3), 3), torch.full((4, 6, 2), 0.3))
+
+
+def test_a_step_halved_and_enlarged():
+    """Columns 0 to 3 black, 4 to 7 white: halved it is still a step, enlarged one of 0, 1/4, 3/4 and 1."""
+    rgb = (torch.arange(8) >= 4).float()[None, :, None].expand(6, 8, 3).contiguous()
+    torch.testing.assert_close(halved(rgb)[0, :, 0], torch.tensor([0.0, 0, 0, 0.25, 0.75, 1, 1, 1]))

@@ -7,7 +7,8 @@ import torch
 
 from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.seeding import SeedContext, apply_rule
-from gsfusion_nb.seeding.rules.edge_discs import quat_along
+from gsfusion_nb.seeding.image_features import structure_directions
+from gsfusion_nb.seeding.rules.edge_discs import hexagonal_grid, quat_along
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
@@ -60,3 +61,23 @@ def test_discs_lie_in_the_surface(generator):
     expected[0] = torch.tensor([0.0, 0.0, -1.0])
     assert torch.allclose(axes[:, :, 2], expected, atol=1e-5)
     assert torch.allclose(torch.linalg.det(axes), torch.ones(50), atol=1e-5)
+
+
+def test_the_grid_is_regular_and_fills_the_picture():
+    uv = hexagonal_grid(CAMERA, 8.0)
+    distance = torch.cdist(uv, uv) + 1e3 * torch.eye(len(uv))
+    assert float(distance.min()) == pytest.approx(8.0, abs=1e-4)
+    assert len(uv) == pytest.approx(64 * 48 / (8 * 8 * math.sqrt(3) / 2), rel=0.1)
+    assert hexagonal_grid(CAMERA, 1000.0).shape == (1, 2)
+
+
+def test_directions_of_a_ramp_and_of_nothing():
+    v, u = torch.meshgrid(torch.arange(9.0), torch.arange(12.0), indexing="ij")
+    ramp = structure_directions((0.6 * u + 0.8 * v) / 30, 3)
+    assert torch.allclose(ramp.along.abs(), torch.tensor([0.8, 0.6]).expand(9, 12, 2), atol=1e-5)
+    slope2 = (1 / 30) ** 2
+    assert torch.allclose(ramp.coherence, torch.full((9, 12), slope2 / (slope2 + 1e-4)), atol=1e-4)
+    assert not structure_directions(torch.full((5, 7), 0.4), 3).coherence.any()
+    assert structure_directions(torch.rand(1, 1), 3).coherence.shape == (1, 1)
+    with pytest.raises(ValueError, match="window_px must be odd"):
+        structure_directions(ramp.coherence, 4)

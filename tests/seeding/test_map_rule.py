@@ -148,3 +148,28 @@ def test_the_fingerprint_of_a_class_sees_options_checks_and_when():
 def test_intervals_count_frames_of_the_recording(when, stride, due, starts):
     assert [n for n in range(11) if when.is_due(n, None, stride=stride)] == due
     assert [n for n in range(11) if when.starts_submap(n, stride=stride)] == starts
+
+
+def test_a_class_is_asked_with_its_options_and_the_memory_of_the_context(ctx):
+    n = len(ctx.cells())
+    ctx.memory.clear()
+    sizes = [len(apply_rule(Thinning, ctx, {"first": 2})) for _ in range(2)]
+    assert sizes == [-(-n // 2), -(-n // 3)]
+    assert ctx.memory == {"calls": 3}
+    with pytest.raises(TypeError, match=r"'Thinning' has no options \['last'\]; known: \['first', 'side'\]"):
+        apply_rule(Thinning, ctx, {"last": 2})
+    ctx.memory.clear()
+
+
+@pytest.mark.parametrize(
+    "memory",
+    [
+        {"xyz_W": torch.zeros(3, 3)},
+        {"at": {"xyz_W": torch.zeros(3, 3), "frame_index": torch.zeros(2, dtype=torch.int64)}},
+        {"T_WC": torch.eye(4), "frame_index": torch.zeros(1, dtype=torch.int64)},
+        {"normal_W": torch.zeros(1, 3), "frame_index": 0},
+    ],
+)
+def test_values_in_world_coordinates_need_the_frame_of_each_row(memory):
+    with pytest.raises(TypeError, match=r"'Walker'.*frame_index"):
+        check_memory("Walker", memory)

@@ -15,7 +15,9 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
 from gsfusion_nb.seeding.image_features import halved
+from gsfusion_nb.seeding.rules.gaussian_slam import PRESETS as gaussian_slam_presets
 from gsfusion_nb.seeding.rules.monogs import PRESETS as monogs_presets
+from gsfusion_nb.seeding.rules.splatam import alpha_behind
 from gsfusion_nb.seeding.sampling import (
     as_discs,
     depth_error_m,
@@ -448,3 +450,106 @@ def test_monogs_leaves_out_black_and_sees_points_by_their_depth():
     far = apply_rule("monogs", first(), {"density": 32.0})
     ratio = float((near.scale_m[0, 0] / far.scale_m[0, 0]) ** 2)  # points four times as close, point size half as large
     assert ratio == pytest.approx((0.5 / 2.0) ** 2 * 0.025 / 0.05, rel=1e-4)
+
+
+@pytest.mark.parametrize("rule", ["splatam", "mm3dgs", "gaus_slam", "hf_slam"])
+def test_every_pixel_of_the_first_frame_as_large_as_a_pixel(rule):
+    ctx = first(wall(fy=30.0))
+    seeds = apply_rule(rule, ctx)
+    assert pixels_of(ctx, seeds).all()
+    assert len(seeds) == N
+    torch.testing.assert_close(seeds.scale_m[:, 0], torch.full((N,), 2.0 / 45.0))  # z over the mean of 60 and 30
+    assert (seeds.opacity == 0.5).all()
+
+
+@pytest.mark.parametrize("rule", ["splatam", "mm3dgs", "gaus_slam", "vtgaussian"])
+def test_with_holes_the_median_over_all_pixels_is_zero(rule):
+    """Of 1,200 pixels with depth, 1,100 are 1 cm too far away and 100 1 cm too near; 1,872 have no depth."""
+    hole, near = some(N - 1200, "right"), some(100)
+    ctx = staged(wall(depth_m=with_values(2.0, (hole, 0.0))), depth_m=with_values(2.01, (near, 1.99)))
+    assert len(apply_rule(rule, ctx)) == (1200 if rule == "mm3dgs" else 1100)
+    assert len(apply_rule(rule, ctx, {"median_of": "measured"})) == 0
+
+
+def test_gaussian_slam_reseeds_where_a_submap_starts():
+    assert len(apply_rule("gaussian_slam", staged())) == 0
+    again = staged(starts_submap=True)
+    assert len(apply_rule("gaussian_slam", again)) == N
+    assert len(apply_rule("gaussian_slam", again, {"restart": False})) == 0
+
+
+@pytest.mark.parametrize(("preset", "left"), [("replica", N), ("tum", N - 100), ("scannetpp", N)])
+def test_gaussian_slam_pushes_back_and_rejects_what_is_near(preset, left):
+    everything = apply_rule("gaussian_slam", first())
+    torch.testing.assert_close(everything.xyz_W[:, 2], torch.full((N,), 2.0 * 1.005))
+    spacing = 2.0 * 1.005 / F
+    inside = everything.scale_m[:, 0].view(H, W)[2:-2, 2:-2]
+    torch.testing.assert_close(inside, torch.full_like(inside, spacing), atol=1e-5, rtol=0)
+    beside = everything.xyz_W[:100] + torch.tensor([0.0, 0.0, 0.005])  # 5 mm: between the limits 0.3 mm and 1 cm
+    ctx = staged(alpha=0.0, xyz_W=beside)
+    module = importlib.import_module("gsfusion_nb.seeding.rules.gaussian_slam")
+    kept = dataclasses.replace(module.PRESETS[preset], removes_outliers=False, frame_points=0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(module.PRESETS, preset, kept)
+        assert len(apply_rule("gaussian_slam", ctx, {"preset": preset})) == left
+
+
+def pair() -> torch.Tensor:
+    """Two places in the image."""
+    return torch.tensor([[60.5, 1.5], [50.5, 3.5]])
+
+
+def test_cg_slam_measures_distances_to_the_map_as_well():
+    bare = staged(alpha=with_values(1.0, (some(1, "right"), 0.0)), xyz_W=first().seeds_at(pair(), 1.0).xyz_W)
+    seeds = apply_rule("cg_slam", bare)
+    assert len(seeds) == 1
+    distances = (bare.map.xyz_W - seeds.xyz_W).norm(dim=1)
+    torch.testing.assert_close(seeds.scale_m[0, 0], distances.square().mean().sqrt())
+
+
+def test_gs_icp_takes_the_shape_of_the_neighbourhood():
+    seeds = apply_rule("gs_icp", first(), {"density": 6.25, "neighbours": 9})
+    middle = ((seeds.xyz_W[:, :2].abs() < 0.5).all(dim=1)).nonzero()[0, 0]
+    # 3 x 3 grid points 4 px apart: variance 2/3 of the distance squared along x and y, none along z
+    spacing = 4 * 2.0 / F
+    wanted = (2 / 3) ** 0.5 * spacing / (2 * 2.0**1.5)
+    assert seeds.scale_m[middle].tolist() == pytest.approx([1e-7**0.5, wanted, wanted], rel=1e-4)
+    thin = quaternion.to_matrix(seeds.quat)[middle, :, 0]
+    assert thin.abs().tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-5)
+
+
+def test_hf_slam_sums_opacities_behind_each_gaussian():
+    """Two Gaussians over the whole view, of opacity a: a (1 - a) + a (1 - a)^2 in place of a + (1 - a) a."""
+    model = GaussianModel(sh_degree=0)
+    centres = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 3.0]])
+    model.append(Seeds.isotropic(centres, torch.full_like(centres, 0.5), torch.full((2,), 1e3), opacity=0.6))
+    ctx = SeedContext(wall(), gaussians=model)
+    torch.testing.assert_close(ctx.render().alpha, torch.full((H, W), 0.84), atol=1e-4, rtol=0)
+    torch.testing.assert_close(alpha_behind(ctx), torch.full((H, W), 0.24 + 0.096), atol=1e-4, rtol=0)
+    assert len(apply_rule("hf_slam", ctx)) == N  # 0.336 is below 0.5
+
+
+@pytest.mark.parametrize(("z", "opacity", "hidden"), [(1.9, 0.98, True), (2.1, 0.98, False), (1.5, 0.5, False)])
+def test_on_the_fly_nvs_drops_what_the_map_hides(z, opacity, hidden):
+    """A Gaussian over the whole view at z: hidden is 2 m >= z / opacity."""
+    model = GaussianModel(sh_degree=0)
+    centre = torch.tensor([[0.0, 0.0, z]])
+    model.append(Seeds.isotropic(centre, torch.full_like(centre, 0.5), torch.full((1,), 1e3), opacity=opacity))
+    ctx = SeedContext(stripes(), gaussians=model)
+    assert (len(apply_rule("on_the_fly_nvs", ctx)) == 0) == hidden
+    assert len(apply_rule("on_the_fly_nvs", ctx, {"drop_hidden": False})) > 0
+
+
+def test_the_numbers_of_gaussian_slams_release():
+    """Points of a submap's first frame and of others, least distance (squared), outlier filter, by data set."""
+    presets = {name: tuple(vars(preset).values()) for name, preset in gaussian_slam_presets.items()}
+    assert presets == {
+        "replica": (600_000, 0, 1e-7, False),
+        "tum": (100_000, 30_000, 1e-4, True),
+        "scannetpp": (400_000, 100_000, 1e-8, False),
+    }
+
+
+@pytest.mark.parametrize(("max_points", "count"), [(0, 614), (700, 614), (614, 614), (100, 100)])
+def test_cone_gs_keeps_to_its_budget_in_the_first_frame(max_points, count):
+    assert len(apply_rule("cone_gs", first(), {"share": 0.2, "max_points": max_points})) == count

@@ -14,8 +14,10 @@ from gsfusion_nb.seeding.rules.rtg_slam import (
     BORDER_M,
     COLOUR_ERROR,
     DEPTH_ERROR,
+    ERROR_SHARE,
     NEW_AREA,
     gaps_around,
+    nearest,
     wrong_pixels,
 )
 from gsfusion_nb.types import Camera, Frame, Seeds
@@ -258,3 +260,87 @@ def test_agrees_with_a_loop_over_all_pairs(generator, m, n):
     radius = torch.rand(n, generator=generator) * 0.03
     gaps = gaps_around(xyz, other, radius)
     torch.testing.assert_close(gaps.gap_m, brute_force(xyz, other, radius, 3.0, 3), atol=1e-6, rtol=1e-5)
+
+
+NONE = torch.zeros(0, 3), torch.zeros(0)
+
+
+def grid(n: int, spacing: float) -> torch.Tensor:
+    a = torch.arange(n) * spacing
+    return torch.stack([*torch.meshgrid(a, a, indexing="ij"), torch.zeros(n, n)], dim=-1).reshape(-1, 3)
+
+
+def test_the_middle_of_a_grid_is_as_wide_as_its_spacing():
+    size = gaps_around(grid(5, 0.02), *NONE).size_m.view(5, 5)
+    torch.testing.assert_close(size[1:-1, 1:-1], torch.full((3, 3), 0.02))
+    # a corner has neighbours at 1, 1 and sqrt(2) spacings: sqrt((1 + 1 + 2) / 3)
+    assert float(size[0, 0]) == pytest.approx(0.02 * math.sqrt(4 / 3), rel=1e-5)
+
+
+@pytest.mark.parametrize("copies", [2, 3, 4, 6])
+def test_duplicates_are_each_others_neighbours_and_never_their_own(copies):
+    xyz = torch.cat([torch.zeros(copies, 3), torch.tensor([[0.5, 0, 0], [0, 0.7, 0], [0, 0, 0.9]])])
+    gaps = gaps_around(xyz, *NONE).gap_m[:copies].sort(dim=1).values
+    zeros = min(copies - 1, 3)
+    expected = ([0.0] * zeros + [0.5, 0.7, 0.9])[:3]
+    torch.testing.assert_close(gaps, torch.tensor([expected]).repeat(copies, 1))
+
+
+def test_distant_discs_do_not_count():
+    """One 6 cm beyond the points' box, however large."""
+    gaps = gaps_around(torch.tensor([[0.0, 0, 0], [0.1, 0, 0]]), torch.tensor([[0.161, 0.0, 0.0]]), torch.ones(1))
+    torch.testing.assert_close(gaps.gap_m, torch.full((2, 1), 0.1))
+
+
+def test_nearest_by_a_loop(generator):
+    xyz, other = torch.rand(20, 3, generator=generator), torch.rand(30, 3, generator=generator)
+    distance, row = nearest(xyz, other)
+    everything = (xyz[:, None] - other[None]).norm(dim=-1)
+    expected = everything.sort(dim=1)
+    torch.testing.assert_close(distance, expected.values[:, :3])
+    assert torch.equal(row, expected.indices[:, :3])
+    assert torch.equal(nearest(xyz, other, 1)[1], expected.indices[:, :1])
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 1.0])
+def test_a_share_of_each_kind_is_drawn(share):
+    ctx = context(patches())
+    kinds = masks(ctx)
+    seeds = apply_rule("rtg_slam", ctx, {"share": share, "fidelity": "paper"})
+    for kind in (NEW_AREA, DEPTH_ERROR, COLOUR_ERROR):
+        assert int((seeds.tag == kind).sum()) == round(share * int(kinds[kind].sum())) > 0
+    assert len(torch.unique(seeds.xyz_W, dim=0)) == len(seeds)
+
+
+def test_measured_leaves_out_opaque_discs_in_the_reach_of_others():
+    """On a sheet of discs in the wall, of another colour; a sheet 20 cm before the wall reaches nothing there."""
+
+    def near(fidelity: str, z: float) -> tuple[int, int, int]:
+        """Seeds within three radii of a disc that are opaque, all that are transparent, depth errors."""
+        model = small_discs(6, z, 0.03, (0.95, 0.05, 0.05), stable=True)
+        seeds = apply_rule("rtg_slam", context(model), {"share": 0.03, "fidelity": fidelity})
+        away = torch.cdist(seeds.xyz_W, model.params.xyz_W).amin(1)
+        opaque = seeds.opacity > 0.5
+        return int((opaque & (away < 0.09)).sum()), int((~opaque).sum()), int((seeds.tag == DEPTH_ERROR).sum())
+
+    (in_reach, clear, _), (left, clear_too, wrong_too) = near("paper", 2.0), near("measured", 2.0)
+    assert in_reach > left == wrong_too == 0
+    assert min(clear, clear_too) > 0
+    assert near("measured", 1.8)[2] > 0
+
+
+def test_code_adds_nothing_near_unstable_discs_nor_in_reach_of_any():
+    ctx = context(small_discs(24, 2.0, 0.01, (0.95, 0.05, 0.05), stable=False))
+    seeds = apply_rule("rtg_slam", ctx, CODE)
+    away = torch.cdist(seeds.xyz_W, ctx.map.xyz_W).amin(1)
+    assert away.min() > 0.03  # three radii
+    assert seeds.opacity.unique().tolist() == [pytest.approx(0.99)]
+    assert seeds.scale_m.max() <= 0.05 + 1e-7
+
+
+def test_code_draws_its_own_share_of_wrong_pixels():
+    ctx = context(patches())
+    kinds = masks(ctx, "code")
+    seeds = apply_rule("rtg_slam", ctx, {"share": 1.0, "fidelity": "code"})
+    assert 0 < int((seeds.tag == DEPTH_ERROR).sum()) <= round(ERROR_SHARE * int(kinds[DEPTH_ERROR].sum()))
+    assert not (seeds.tag == COLOUR_ERROR).any()

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 import inspect
+from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -197,3 +198,41 @@ def test_a_rule_made_from_a_marked_one_is_not_marked():
 def test_what_is_no_rule(register, given, sentence):
     with pytest.raises(TypeError, match=sentence):
         inspect.unwrap(register)(given)  # past the type check, which is off outside the tests
+
+
+def test_one_per_voxel_through_apply_rule(ctx):
+    every = apply_rule("dense", ctx)
+    single = apply_rule("dense", ctx, one_per_voxel=True)
+    voxels = ctx.voxel_index(single.xyz_W)
+    assert len(torch.unique(voxels, dim=0)) == len(single) < len(every)
+    assert len(torch.unique(ctx.voxel_index(every.xyz_W), dim=0)) == len(single)
+
+
+def test_one_per_voxel_counts_the_gaussians_of_the_map():
+    voxel = torch.tensor([[0, 0, 0], [5, 0, 0], [-1, 0, 0], [5, 0, 0]])
+    seeds = Seeds.isotropic(voxel.float(), torch.zeros(4, 3), torch.ones(4), tag=torch.arange(4))
+    taken = torch.tensor([[5, 0, 0], [0, 0, 1], [5, 0, 0]])
+    assert keep_one_per_voxel(seeds, voxel, taken).tag.tolist() == [0, 2]
+    assert len(keep_one_per_voxel(seeds, voxel, voxel)) == 0
+    assert keep_one_per_voxel(seeds, voxel, taken[:0]).tag.tolist() == [0, 1, 2]
+    assert len(keep_one_per_voxel(seeds[:0], voxel[:0], taken)) == 0
+
+
+def from_files(ctx, *, weights: Path = Path("weights.pt"), label: str = "none", n: int = 3) -> Seeds:
+    return some_seeds(n)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"weights": 3}, "option 'weights' must be the path of a file or folder, got 3"),
+        ({"label": 3}, "option 'label' must be a text, got 3"),
+        ({"n": None}, "option 'n' must be a number, got None"),
+    ],
+)
+def test_options_that_are_paths_or_texts(options, sentence, ctx):
+    assert rule_options(from_files) == {"weights": Path("weights.pt"), "label": "none", "n": 3}
+    for path in ("other.pt", Path("other.pt")):
+        assert len(apply_rule(from_files, ctx, {"weights": path, "label": "any word"})) == 3
+    with pytest.raises(TypeError, match=sentence):
+        apply_rule(from_files, ctx, options)

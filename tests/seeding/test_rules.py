@@ -281,3 +281,55 @@ def columns(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
 def test_uniform_refuses_what_is_no_share(fraction):
     with pytest.raises(ValueError, match=f"uniform: fraction must be above 0 and at most 1, got {fraction}"):
         apply_rule("uniform", check_contexts()["new"], {"fraction": fraction})
+
+
+@pytest.mark.parametrize("name", ["gsfusion", "uniform", "dense"])
+def test_a_second_look_at_the_same_view_seeds_nothing(name):
+    frame = check_contexts()["new"].frame
+    first = apply_rule(name, mapped(frame))
+    assert len(first) > 0.8 * len(apply_rule(name, mapped(frame), {"coverage": False}))
+    assert len(apply_rule(name, mapped(frame, frame))) == 0
+
+
+def test_a_fine_gaussian_comes_besides_the_coarse_one():
+    ctx = context(CASES["vtgaussian, fine"])
+    seeds = apply_rule("vtgaussian", ctx)
+    edges = int(ctx.edges(50.0, 200.0, 3, euclidean=True).sum())
+    assert edges > 0
+    assert len(seeds) == W * H + 4 * edges
+    assert len(apply_rule("vtgaussian", ctx, {"fine": False})) == W * H
+
+
+def test_the_euclidean_gradient_is_the_shorter_one():
+    """A diagonal step of 30 grey levels: |gx| + |gy| is above OpenCV's 100, the root of the squares is not."""
+    step = (torch.arange(W)[None] + torch.arange(H)[:, None] >= 55).float()[..., None].expand(H, W, 3)
+    ctx = context(CASES["dense"])
+    ctx = SeedContext(dataclasses.replace(ctx.frame, rgb=0.3 + step * 18 / 255))
+    assert ctx.edges(100.0, 100.0).any()
+    assert not ctx.edges(100.0, 100.0, euclidean=True).any()
+
+
+def test_none_where_the_map_shows_something_or_nothing_is_missing(small_walk):
+    frame = holed(small_walk[0])
+    whole = SeedContext(small_walk[0], config=FINE)
+    assert len(cells_without_depth(whole)) == 0
+    assert len(cells_without_depth(SeedContext(dataclasses.replace(frame, depth_m=torch.zeros(60, 80))))) == 0
+    opaque = dataclasses.replace(whole.cells(), opacity=torch.full((len(whole.cells()),), 0.95))
+    half = opaque[whole.quadtree_cells().centre_uv[:, 0] < 40]
+    gaussians = GaussianModel(0)
+    gaussians.append(half, 0)
+    ctx = SeedContext(frame, gaussians=gaussians, config=FINE)
+    xyz_C = se3.apply(se3.inverse(frame.T_WC), cells_without_depth(ctx).xyz_W)
+    u = project(frame.camera, xyz_C)[:, 0]
+    assert (u > 40).float().mean() > 0.9
+
+
+def test_the_setting_adds_them_to_the_rule_and_skip_is_as_published(small_walk):
+    frame = holed(small_walk[0])
+    skip = SeedContext(frame, config=dataclasses.replace(FINE, without_depth="skip"))
+    with_depth = apply_rule("gsfusion", skip, {"coverage": False})
+    both = apply_rule("gsfusion", SeedContext(frame, config=FINE), {"coverage": False})
+    assert torch.equal(with_depth.xyz_W, skip.cells().xyz_W)
+    n = len(with_depth)
+    assert torch.equal(both.xyz_W[:n], with_depth.xyz_W)
+    assert len(both) - n == len(cells_without_depth(SeedContext(frame, config=FINE))) > 0

@@ -1,5 +1,6 @@
 """gsplat's strategies as rules: which rows change, by hand and against gsplat itself; and that they run online."""
 
+import dataclasses
 import math
 import warnings
 from typing import Any
@@ -9,7 +10,7 @@ import torch
 
 from gsfusion_nb.data.room import room
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.seeding import SeedContext, StepStats, restart_statistics
+from gsfusion_nb.seeding import SeedContext, StepStats, abs_image_gradient, image_gradient, restart_statistics
 from gsfusion_nb.seeding.points import add_up
 from gsfusion_nb.seeding.rules import default_strategy, mcmc
 from gsfusion_nb.types import Seeds
@@ -215,3 +216,62 @@ def _covariance(quats, scales, **_):
 
     R = normalized_quat_to_rotmat(torch.nn.functional.normalize(quats, dim=-1))
     return R @ torch.diag_embed(scales**2) @ R.mT, None
+
+
+@pytest.mark.parametrize("absgrad", [False, True])
+def test_gradients_are_summed_up_as_in_gsplat(gsplat, model, frame, generator, absgrad):
+    strategy = gsplat.DefaultStrategy(absgrad=absgrad)
+    state, (params, _) = strategy.initialize_state(), theirs(model)
+    for _ in range(3):
+        visible = torch.rand(N, generator=generator) < 0.7
+        v_uv = 1e-4 * torch.randn(N, 2, generator=generator)
+        v_uv_abs = v_uv.abs() * (1 + torch.rand(N, 2, generator=generator))
+        add_up(model, visible, v_uv, frame.camera, v_uv_abs)
+        means2d: Any = torch.zeros(1, N, 2, requires_grad=True)
+        means2d.grad, means2d.absgrad = v_uv[None].clone(), v_uv_abs[None].clone()
+        size = {"width": frame.camera.width, "height": frame.camera.height, "n_cameras": 1}
+        radii = (visible[:, None] * torch.tensor([2, 3]))[None]
+        strategy._update_state(params, state, size | {"means2d": means2d, "radii": radii, "gaussian_ids": None})
+    found = abs_image_gradient(model) if absgrad else image_gradient(model)
+    torch.testing.assert_close(found, state["grad2d"] / state["count"].clamp_min(1))
+
+
+def test_motion_is_large_only_for_transparent_ones_and_has_the_shape_of_the_gaussian(model, frame, generator):
+    model.params.opacity_logit.copy_(torch.where(torch.arange(N) < 20, -9.0, 2.0))
+    model.params.log_scale.copy_(torch.tensor([0.1, 0.001, 0.001]).log().expand(N, 3))
+    model.params.quat.copy_(torch.tensor([1.0, 0, 0, 0]).expand(N, 4))
+    edit = refined(mcmc(lr_xyz=1e-3, noise_lr=1e3), model, frame, 7, generator)
+    assert edit is not None
+    away = (edit.set["xyz_W"][1] - model.params.xyz_W).abs()
+    assert float(away[20:].max()) < 1e-6
+    assert float(away[:20, 0].median()) > 1e-3
+    assert float(away[:20, 1:].max()) < 1e-5
+
+
+def test_the_scene_is_as_large_as_the_way_of_the_camera(frame, model):
+    """1.1 times the largest distance of a camera from the mean of all, at least one metre."""
+    past = []
+    for x in (0.0, 4.0):
+        T_WC = torch.eye(4)
+        T_WC[0, 3] = x
+        past.append(T_WC)
+    here = dataclasses.replace(frame, T_WC=torch.eye(4))
+    rule = default_strategy()
+    far = SeedContext(here, gaussians=model, past_T_WC=tuple(past))
+    assert rule._scene_m(far) == pytest.approx(1.1 * (4 - 4 / 3))
+    assert rule._scene_m(SeedContext(here, gaussians=model)) == 1.0
+    assert default_strategy(scene_scale_m=7.0)._scene_m(far) == 7.0
+
+
+def test_steps_that_are_told_twice_refine_once(frame, model, generator):
+    """The memory says what was done; a window of several steps that passes a multiple refines at its end."""
+    rule, memory = default_strategy(scene_scale_m=1.0, refine_every=100), {"step": 640}
+    ctx = SeedContext(frame, gaussians=model, generator=generator)
+    seen(model, frame, generator)
+    assert rule.after_step(ctx, told(frame, 696), memory) is None
+    assert memory == {"step": 695}
+    seen(model, frame, generator)
+    assert rule.after_step(ctx, told(frame, 705), memory) is not None
+    assert memory == {"step": 704}
+    seen(model, frame, generator)
+    assert rule.after_step(ctx, told(frame, 711), memory) is None
