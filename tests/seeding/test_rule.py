@@ -1,8 +1,7 @@
 """Registry, signatures, options, checked results, one seed per voxel."""
 
-import re
-from pathlib import Path
 import inspect
+import re
 from pathlib import Path
 from typing import Literal
 
