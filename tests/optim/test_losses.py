@@ -257,15 +257,6 @@ def params(value: float, quat: tuple[float, ...], n: int = 1, opacity_logit: flo
     )
 
 
-def about_z(degrees: float) -> tuple[float, ...]:
-    half = math.radians(degrees) / 2
-    return (math.cos(half), 0.0, 0.0, math.sin(half))
-
-
-def counts(*values: int) -> torch.Tensor:
-    return torch.tensor(values, dtype=torch.int32)
-
-
 def test_equal_images_have_no_dssim(generator):
     x, _ = pair(20, 31, generator)
     loss, v = dssim_vjp(x, x)

@@ -1,5 +1,6 @@
 """check_rule passes sound rules and names what is wrong with the others."""
 
+import inspect
 import random
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.gaussians import Edit, GaussianModel
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, check_rule, registered
 
 SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "monogs_like", "photo_slam", "vg_mapping", "vings")
@@ -194,7 +195,58 @@ def test_broken_class_rules_are_named(rule, error, sentence):
         check_rule(rule)
 
 
-def near_only(ctx: SeedContext, *, max_range_m: float = 1.5) -> Seeds:
-    """The example rule of the design notes."""
-    cells = ctx.cells()
-    return cells[(cells.xyz_W - ctx.frame.T_WC[:3, 3]).norm(dim=-1) < max_range_m]
+@dataclass(frozen=True, kw_only=True)
+class AfterSteps(MapRule):
+    """Seeds the cells, and does after steps what a test says."""
+
+    needs: ClassVar[frozenset[str]] = frozenset()
+
+    def seeds(self, ctx, memory):
+        return ctx.cells()
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeepsTheFrameAfterSteps(AfterSteps):
+    """Keeps what a checkpoint cannot save, but only after a step."""
+
+    def after_step(self, ctx, stats, memory):
+        memory["frame"] = ctx.frame
+        return
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReturnsAMask(AfterSteps):
+    """Returns a mask in place of an edit."""
+
+    def after_step(self, ctx, stats, memory):
+        return ctx.map.opacity > 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemovesAtRandom(AfterSteps):
+    """Draws from a generator that nobody gave it."""
+
+    def after_step(self, ctx, stats, memory):
+        return Edit(keep=torch.rand(len(ctx.map)) < 0.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemovesTooMany(AfterSteps):
+    """Its mask is too short."""
+
+    def after_step(self, ctx, stats, memory):
+        return Edit(keep=torch.ones(1, dtype=torch.bool))
+
+
+@pytest.mark.parametrize(
+    ("rule", "error", "sentence"),
+    [
+        (KeepsTheFrameAfterSteps, TypeError, r"'KeepsTheFrameAfterSteps' keeps a Frame in its memory\['frame'\]"),
+        (ReturnsAMask, TypeError, "after_step must return an Edit or None, got"),
+        (RemovesAtRandom, AssertionError, "global generator|gave different edits"),
+        (RemovesTooMany, (AssertionError, ValueError), "keep"),
+    ],
+)
+def test_broken_edits_are_named(rule, error, sentence):
+    with pytest.raises(error, match=sentence):
+        check_rule(inspect.unwrap(rule))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.seeding import Cells, quadtree
 from gsfusion_nb.seeding.quadtree import luma_variance
 
@@ -109,3 +110,15 @@ def test_real_photograph(sequence, image, released, strict, shared_sequence):
     assert len(quadtree(rgb)) == pytest.approx(released, rel=0.01)
     assert len(quadtree(rgb, threshold=0.01)) == pytest.approx(strict, rel=0.01)
     assert rows(quadtree(rgb)) == rows(quadtree.reference(rgb))
+
+
+def test_the_reference_cuts_by_variance_or_by_its_root():
+    """The values of the first test, without any fast backend."""
+    image = torch.zeros(4, 4, 3, dtype=torch.uint8)
+    image[:2, :2] = 255
+    V = 0.9999 * 255**2 * 3 / 16
+    with use_backend("reference"):
+        for contrast, limit in (("released", V * 16 / 9e7), ("std", V**0.5 / 255)):
+            assert len(quadtree(image, threshold=0.99 * limit, contrast=contrast)) == 4
+            assert len(quadtree(image, threshold=1.01 * limit, contrast=contrast)) == 1
+            assert len(quadtree(image, threshold=0.99 * limit, contrast=contrast, min_cell_px=2)) == 1
