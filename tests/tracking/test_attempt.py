@@ -1,5 +1,7 @@
 """Likeness of a frame and the model seen from a pose."""
 
+import dataclasses
+
 import pytest
 import torch
 
@@ -30,3 +32,15 @@ def test_negative_is_minus_one_and_noise_is_near_zero(frame, generator):
     assert correlation(frame, surface(1 - frame.rgb, frame.depth_m)) == pytest.approx(-1.0, abs=1e-5)
     other = torch.rand(30, 40, 3, generator=generator)
     assert correlation(frame, surface(other, frame.depth_m)) == pytest.approx(0.0, abs=0.15)
+
+
+def test_only_the_shared_surface_counts(frame):
+    rgb, depth_m = frame.rgb.clone(), frame.depth_m.clone()
+    rgb[:15], depth_m[:15] = 0.0, 2.0  # another surface in the upper half
+    assert correlation(frame, surface(rgb, depth_m)) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_nothing_to_compare_is_none(frame):
+    assert correlation(frame, dataclasses.replace(surface(frame.rgb, frame.depth_m), rgb=None)) is None
+    assert correlation(frame, surface(frame.rgb, torch.zeros(30, 40))) is None
+    assert correlation(frame, surface(torch.full((30, 40, 3), 0.5), frame.depth_m)) is None

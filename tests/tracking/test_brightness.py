@@ -14,7 +14,9 @@ from gsfusion_nb.tracking import (
     align,
     brightness_levels,
     brightness_rows,
+    brightness_system,
     depth_pyramid,
+    picture_of,
 )
 
 from .conftest import CAMERA
@@ -62,3 +64,26 @@ def test_a_painted_wall_is_found_although_its_depth_slides(plane_scene, assert_p
     assert_pose(found.T_WC, T_WC, 1e-3, 0.03)
     assert pictures.offset == pytest.approx(-0.1, abs=0.01)
     assert float((alone.T_WC - T_WC)[:3, 3].norm()) > 0.02
+
+
+def test_pixels_without_a_known_neighbour_or_behind_the_surface_say_nothing(plane_scene):
+    scene, T_WC = plane_scene("wall", painted=True), torch.eye(4).double()
+    frame, surface = scene.frame(T_WC), scene(CAMERA, T_WC)
+    level = depth_pyramid(frame.depth_m, CAMERA, (1,))[0]
+    brightness = frame.rgb.mean(-1)
+
+    def n(surface, limit_m=0.05, level=level):
+        picture = picture_of(surface, surface.rgb, 1)
+        return brightness_system(level, brightness, T_WC, picture, max_distance_m=limit_m).n
+
+    hole = dataclasses.replace(surface, depth_m=surface.depth_m.clone())
+    hole.depth_m[50:60, 50:60] = 0.0
+    everything = n(surface)
+    edge = 2 * (CAMERA.width + CAMERA.height) - 4
+    assert everything == pytest.approx(CAMERA.width * CAMERA.height - edge, rel=0.01)
+    assert everything - n(hole) == pytest.approx(100 + 40, abs=3)
+    behind = dataclasses.replace(surface, depth_m=surface.depth_m - 0.1)
+    assert (n(behind), n(behind, 0.2)) == (0, everything)
+    grey = dataclasses.replace(surface, rgb=torch.full_like(surface.rgb, 0.5))
+    assert n(grey) == 0
+    assert Pictures.of({1: brightness}, dataclasses.replace(surface, rgb=None)) is None

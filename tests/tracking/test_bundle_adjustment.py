@@ -10,6 +10,7 @@ from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.bundle_adjustment import adjust
 from gsfusion_nb.tracking.landmark_pose import CAUCHY, LandmarkRows, landmark_pose, landmark_sums
 from gsfusion_nb.tracking.landmarks import Observations
+from gsfusion_nb.tracking.pose_graph import Edge, odometry_information
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=161.0, cy=119.0)
@@ -125,3 +126,29 @@ def test_the_pose_survives_wrong_matches(rows, generator, assert_pose):
     assert_pose(found, T_TRUE, 4e-3, 0.2)
     assert spoiled.agree(found)[12:].all()
     assert spoiled.agree(found)[:12].mean() < 0.3
+
+
+def test_relative_poses_hold_what_no_landmark_sees(scene, generator):
+    """The last view sees nothing: it keeps its place beside the view before."""
+    T_WC, _ = scene
+    start, seen = disturbed(scene, generator)
+    kept = seen.keyframe < 4
+    columns = {name: getattr(seen, name)[kept] for name in ("keyframe", "landmark", "uv", "depth_m", "sigma_px")}
+    edge = Edge(
+        i=3, j=4, T_ij=se3.inverse(T_WC[3]) @ T_WC[4], information=odometry_information(0.2, 0.01), kind="odometry"
+    )
+    found = adjust(CAMERA, start, dataclasses.replace(seen, **columns), [edge], HELD, iterations=20)
+    assert max(off(found.T_WC, T_WC)) < 1e-4
+
+
+def test_without_any_landmark_the_edges_decide(scene):
+    """A back end whose keyframes show nothing twice has poses and edges alone."""
+    T_WC, seen = scene
+    none = Observations(**{name: column[:0] for name, column in vars(seen).items()})
+    near = odometry_information(0.2, 0.01)
+    edges = [
+        Edge(i=k, j=k + 1, T_ij=se3.inverse(T_WC[k]) @ T_WC[k + 1], information=near, kind="odometry") for k in range(4)
+    ]
+    start = T_WC.clone()
+    start[4, :3, 3] += 0.1
+    assert max(off(adjust(CAMERA, start, none, edges, HELD, iterations=20).T_WC, T_WC)) < 1e-4

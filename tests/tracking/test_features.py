@@ -72,3 +72,46 @@ def test_a_poster_does_not_take_all_features(generator):
     f = extract_features(frame(rgb, torch.ones(120, 160)), count=200, levels=2)
     assert len(f) == 200
     assert (f.uv[:, 0] > 40).float().mean() > 0.5
+
+
+def test_no_depth_at_edges_and_holes(generator):
+    depth_m = torch.full((120, 160), 1.0)
+    depth_m[:, 80:] = 2.0
+    depth_m[60:64] = 0.0
+    f = extract_features(frame(noise(generator), depth_m), count=600, levels=3)
+    u, v = f.uv.T
+    at_edge = (u - 80).abs() < 1
+    in_hole = (v > 59.5) & (v < 64.5)
+    assert at_edge.any()
+    assert in_hole.any()
+    assert not f.has_depth[at_edge | in_hole].any()
+    clear = ((u - 80).abs() > 3) & ((v < 57) | (v > 67)) & (u > 3) & (u < 157)
+    assert f.has_depth[clear].all()
+    torch.testing.assert_close(f.xyz_C[clear, 2], torch.where(u[clear] < 80, 1.0, 2.0))
+
+
+@pytest.mark.parametrize("size", [(8, 8), (9, 70), (120, 160)])
+def test_plain_black_and_tiny_frames_have_none(size):
+    height, width = size
+    camera = Camera(width=width, height=height, fx=50.0, fy=50.0, cx=width / 2, cy=height / 2)
+    f = extract_features(frame(torch.zeros(height, width, 3), torch.zeros(height, width), camera), count=100, levels=8)
+    assert len(f) == 0
+    assert f.descriptors.shape == (0, 32)
+    assert f.xyz_C.shape == (0, 3)
+
+
+def test_without_depth_features_stay(generator):
+    f = extract_features(frame(noise(generator), torch.zeros(120, 160)), count=100, levels=4)
+    assert len(f) == 100
+    assert not f.has_depth.any()
+
+
+def test_repeats_exactly(view):
+    a, b = (extract_features(view, count=400, levels=8) for _ in range(2))
+    assert torch.equal(a.uv, b.uv)
+    assert torch.equal(a.descriptors, b.descriptors)
+
+
+def test_wrong_numbers_are_refused(view):
+    with pytest.raises(ValueError, match="at least 1, got 0 and 8"):
+        extract_features(view, count=0, levels=8)

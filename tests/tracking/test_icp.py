@@ -1,6 +1,7 @@
 """Frame-to-model ICP on scenes whose pose is known exactly."""
 
 import dataclasses
+import math
 
 import pytest
 import torch
@@ -227,3 +228,126 @@ def test_damping_shortens_the_step_and_nothing_gives_no_step(generator):
     assert not nothing.xi.any()
     assert nothing.degenerate == 6
     assert nothing.length_m == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(("scene", "open_directions"), [("wall", 3), ("edge", 1), ("corner", 0)])
+def test_what_the_scene_does_not_show_is_left_to_the_start(plane_scene, assert_pose, scene, open_directions):
+    """A wall hides two translations and the rotation about its normal, an edge the translation along itself."""
+    planes = plane_scene(scene)
+    T_WC = torch.eye(4).double()
+    frame = planes.frame(T_WC)
+    start = se3.exp(torch.tensor([0.02, 0.03, -0.04, 0.01, 0.01, 0.0]).double())
+    found = icp(frame.depth_m, frame.camera, planes(frame.camera, T_WC), start, EXACT)
+    assert found.degenerate == open_directions
+    assert [e < 1e-3 * found.eigenvalues[-1] for e in found.eigenvalues] == [i < open_directions for i in range(6)]
+    assert found.rms_m < 1e-4
+    middle = torch.tensor([[0.0, 0.0, 2.0]]).double()
+    before, after = se3.apply(start, middle)[0], se3.apply(found.T_WC, middle)[0]
+    turned = se3.log(found.T_WC)[3:]
+    if scene == "corner":
+        assert_pose(found.T_WC, T_WC, 1e-4, 0.01)
+    if scene == "edge":  # what is in the middle of the view stays where the start put it along the edge
+        assert float(after[1]) == pytest.approx(float(before[1]), abs=1e-3)
+        assert float(after[[0, 2]].sub(middle[0, [0, 2]]).abs().max()) < 1e-3
+        assert float(turned.abs().max()) < 1e-3
+    if scene == "wall":
+        torch.testing.assert_close(after[:2], before[:2], atol=2e-3, rtol=0)
+        assert float(after[2]) == pytest.approx(2.0, abs=1e-4)
+        assert float(turned.abs().max()) < 1e-3
+
+
+def test_noise_of_the_normals_does_not_pass_for_information(plane_scene, generator):
+    planes = plane_scene("wall")
+    T_WC = torch.eye(4).double()
+    frame = planes.frame(T_WC)
+    surface = planes(frame.camera, T_WC)
+    noisy = surface.normal_W + 0.02 * torch.randn(surface.normal_W.shape, generator=generator)
+    surface = dataclasses.replace(surface, normal_W=torch.nn.functional.normalize(noisy, dim=-1))
+    assert icp(frame.depth_m, frame.camera, surface, T_WC).degenerate == 3
+
+
+def test_history_tells_every_step(plane_scene, generator):
+    scene = plane_scene("corner")
+    T_WC = torch.eye(4).double()
+    frame = scene.frame(T_WC)
+    start = perturbation(generator, 0.05, 3.0)
+    found = icp(frame.depth_m, frame.camera, scene(frame.camera, T_WC), start)
+    assert [step.factor for step in found.history] == sorted((s.factor for s in found.history), reverse=True)
+    assert {step.factor for step in found.history} == {8, 4, 2}
+    torch.testing.assert_close(found.history[0].T_WC, start)
+    assert found.history[0].rms_m > 20 * found.rms_m
+    assert found.history[0].step_m > 0.01 > found.history[-1].step_m
+    assert all(0 < step.n_inliers <= step.n_overlap for step in found.history)
+    again = icp(frame.depth_m, frame.camera, scene(frame.camera, T_WC), T_WC)
+    assert len(again.history) < len(found.history)  # ends as soon as the steps are small
+
+
+def test_a_surface_of_another_size_and_pose(plane_scene, assert_pose):
+    scene = plane_scene("corner")
+    T_WC = se3.exp(torch.tensor([0.1, 0.05, 0.0, 0.02, 0.05, 0.0]).double())
+    frame = scene.frame(T_WC)
+    surface = scene(frame.camera.resized(101, 77), torch.eye(4).double())
+    assert_pose(icp(frame.depth_m, frame.camera, surface, torch.eye(4), EXACT).T_WC, T_WC, 1e-4, 0.01)
+
+
+def test_nothing_to_align(plane_scene):
+    scene = plane_scene("corner")
+    frame = scene.frame(torch.eye(4))
+    surface = scene(frame.camera, torch.eye(4))
+    blank = dataclasses.replace(surface, depth_m=torch.zeros_like(surface.depth_m))
+    start = se3.exp(torch.tensor([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]).double())
+    for depth_m, target in ((frame.depth_m, blank), (torch.zeros_like(frame.depth_m), surface)):
+        found = icp(depth_m, frame.camera, target, start)
+        assert (found.n_inliers, found.inlier_share, found.overlap_inlier_share, found.history) == (0, 0.0, 0.0, ())
+        assert torch.equal(found.T_WC, start)
+
+
+@pytest.mark.parametrize("factors", [(7, 3), (5,), (16, 1)])
+def test_levels_that_do_not_divide_the_size(plane_scene, generator, assert_pose, factors):
+    scene = plane_scene("corner")
+    T_WC = torch.eye(4).double()
+    frame = scene.frame(T_WC)
+    config = TrackingConfig(even_to_m=None, pyramid=factors, iterations=(12,) * len(factors))
+    start = perturbation(generator, 0.03, 3.0)
+    assert_pose(icp(frame.depth_m, frame.camera, scene(frame.camera, T_WC), start, config).T_WC, T_WC, 2e-3, 0.1)
+
+
+def test_hessian_is_symmetric_positive_and_sums_the_rows(plane_scene):
+    level, T_WC, surface = pair(plane_scene)
+    system = icp_system.reference(level, T_WC, surface, **GATES)
+    found = associate(level, T_WC, surface, **GATES)
+    _, J = point_to_plane(*(getattr(found, n)[found.inlier] for n in ("xyz", "surface_xyz", "surface_normal")))
+    torch.testing.assert_close(system.H, sum(torch.outer(row, row) for row in J), rtol=1e-10, atol=1e-9)
+    assert torch.equal(system.H, system.H.T)
+    assert float(torch.linalg.eigvalsh(system.H)[0]) > 0
+    assert system.n_inliers == int(found.inlier.sum()) <= system.n_overlap == int(found.overlap.sum())
+    assert system.sum_weights == system.n_inliers
+    assert system.rms_m == pytest.approx(math.sqrt(system.sum_squares_m2 / system.n_inliers))
+
+
+def test_weights_fall_with_the_fourth_power_of_depth():
+    z = torch.tensor([0.5, 1.0, 2.0, 4.0])
+    torch.testing.assert_close(depth_weight(z, 1.0), torch.tensor([1.0, 1.0, 1 / 16, 1 / 256]))
+    assert depth_weight(z, None).tolist() == [1.0] * 4
+
+
+def test_nothing_to_match(plane_scene):
+    level, T_WC, surface = pair(plane_scene)
+    away = T_WC.clone()
+    away[:3, 3] += 50.0
+    system = icp_system.reference(level, away, surface, **GATES)
+    assert (system.n_inliers, system.rms_m) == (0, math.inf)
+    assert not system.H.any()
+
+
+def test_eigenvalues_do_not_depend_on_the_place_or_the_size_of_the_scene(generator):
+    xyz = torch.randn(200, 3, generator=generator).double()
+    n = torch.nn.functional.normalize(torch.randn(200, 3, generator=generator).double(), dim=-1)
+    found = []
+    for scale, shift in ((1.0, 0.0), (5.0, 100.0)):
+        p = scale * xyz + shift
+        r, J = point_to_plane(p, p, n)
+        extent = Extent(centre=p.mean(0), spread_m=float((p - p.mean(0)).square().sum(1).mean().sqrt()))
+        found.append(solve_step(system_of(J, r), extent, damping=0.0, min_eigenvalue=0.0).eigenvalues)
+    torch.testing.assert_close(found[0], found[1], rtol=1e-6, atol=1e-9)
+    assert 1.0 < float(found[0].sum()) < 2.0

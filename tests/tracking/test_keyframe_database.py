@@ -8,7 +8,7 @@ import torch
 from gsfusion_nb.data.room import room
 from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tracking.features import extract_features
+from gsfusion_nb.tracking.features import Features, extract_features
 from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
 
 
@@ -62,3 +62,53 @@ def test_state_survives_a_checkpoint(known, sequence, tmp_path):
 
 def _with(frame, rgb):
     return dataclasses.replace(frame, rgb=rgb)
+
+
+def no_features():
+    return Features(
+        uv=torch.zeros(0, 2),
+        descriptors=torch.zeros((0, 32), dtype=torch.uint8),
+        xyz_C=torch.zeros(0, 3),
+        has_depth=torch.zeros(0, dtype=torch.bool),
+        sigma_px=torch.zeros(0),
+    )
+
+
+def test_views_without_features_can_be_kept_and_asked_about(sequence):
+    database = KeyframeDatabase(sequence.camera)
+    assert database.relocalise(no_features()) == []
+    database.add(0, torch.eye(4), no_features())
+    assert database.similar(no_features(), 3) == []
+    features = extract_features(sequence[0], count=300, levels=4)
+    assert database.relocalise(features) == []
+    database.add(1, sequence.pose(0), features)
+    database.add(2, torch.eye(4), no_features())
+    torch.testing.assert_close(database.relocalise(features)[0], sequence.pose(0).double(), atol=1e-4, rtol=0)
+
+
+def test_corrected_poses_move_what_is_found(known, sequence):
+    database = KeyframeDatabase(sequence.camera)
+    for row in range(3):
+        database.add(known.index[row], known.T_WC[row], known.features[row])
+    shift = torch.eye(4, dtype=torch.float64)
+    shift[0, 3] = 1.0
+    before = database.relocalise(known.features[1])[0]
+    database.move(shift @ torch.stack(database.T_WC))
+    torch.testing.assert_close(database.relocalise(known.features[1])[0], shift @ before)
+    with pytest.raises(ValueError, match="each of the 3 keyframes, got 1"):
+        database.move(shift[None])
+
+
+def test_another_camera_is_refused(known):
+    with pytest.raises(ValueError, match="must come from the keyframes' camera"):
+        known.relocalise(room(n_frames=2, width=160, height=120)[0])
+
+
+def test_among_300_keyframes_the_copies_of_the_same_view_come_first(known):
+    database = KeyframeDatabase(known.camera)
+    for row in range(300):
+        database.add(row, known.T_WC[row % len(known)], known.features[row % len(known)])
+    rows = database.similar(known.features[5], 16)
+    copies = list(range(5, 300, len(known)))
+    assert sorted(row for row, _ in rows[:-1]) == copies
+    assert rows[-1][1] < 0.8 < rows[-2][1]

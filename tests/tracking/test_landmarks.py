@@ -11,6 +11,7 @@ from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
 from gsfusion_nb.tracking.landmark_map import LandmarkMap
 from gsfusion_nb.tracking.landmark_pose import landmark_sums
 from gsfusion_nb.tracking.landmarks import Landmarks
+from gsfusion_nb.tracking.matching import hamming
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
@@ -183,3 +184,66 @@ def test_state_goes_on_where_it_was(known, sequence, views, tmp_path):
     assert (one.pairs == two.pairs).all()
     assert torch.equal(one.T_WC, two.T_WC)
     assert LandmarkMap(sequence.camera).see(views[57], sequence.pose(57)) is None
+
+
+def test_a_lookalike_beside_it_is_not_guessed(points):
+    """The same descriptor twice within reach: the ratio test drops the landmark."""
+    xyz_W, descriptors = points
+    first = landmarks_of((moved(0.0), seen(moved(0.0), xyz_W[:2], descriptors[:2]), NO_PAIRS))
+    twice = torch.cat([xyz_W[:2], xyz_W[:1] + 0.01])
+    again = seen(moved(0.0), twice, descriptors[[0, 1, 0]])
+    assert first.find(again, moved(0.0), [0], 8.0).tolist() == [[1, 1]]
+
+
+def test_new_landmarks_need_depth(points):
+    xyz_W, descriptors = points
+    has_depth = torch.arange(40) % 2 == 0
+    landmarks = landmarks_of((moved(0.0), seen(moved(0.0), xyz_W, descriptors, has_depth), NO_PAIRS))
+    assert len(landmarks) == 20
+    assert (landmarks.of_feature[0][1::2] == -1).all()
+    torch.testing.assert_close(landmarks.positions(torch.arange(20)), xyz_W[::2], atol=1e-6, rtol=0)
+
+
+def test_shared_landmarks(points):
+    landmarks = three_views(points)
+    assert len(landmarks) == 80
+    assert landmarks.shared(1, 0).tolist() == [[k, k] for k in range(40)]
+    assert landmarks.shared(2, 0).shape == (0, 2)
+
+
+def test_the_longest_tracks_are_kept(points):
+    loop = (2, torch.stack([torch.arange(10), torch.arange(10)], 1))
+    landmarks = three_views(points)
+    landmarks.fuse([loop])
+    table = landmarks.observations(per_keyframe=10)
+    assert len(table.xyz_W) == 10
+    assert len(table) == 30
+
+
+def test_nothing_to_observe():
+    empty = landmarks_of(
+        (moved(0.0), seen(moved(0.0), torch.zeros(0, 3).double(), torch.zeros((0, 32), dtype=torch.uint8)), NO_PAIRS)
+    )
+    assert len(empty) == 0
+    assert len(empty.observations(per_keyframe=10)) == 0
+    assert len(Landmarks(KeyframeDatabase(CAMERA)).observations(per_keyframe=10)) == 0
+
+
+def test_landmarks_move_with_the_keyframe_they_were_born_in(points):
+    landmarks = three_views(points)
+    before = landmarks.positions(torch.tensor([3, 50]))
+    landmarks.database.move(torch.stack([moved(0.0), moved(0.1), moved(1.2)]))
+    after = landmarks.positions(torch.tensor([3, 50]))
+    torch.testing.assert_close(after - before, torch.tensor([[0.0, 0, 0], [1, 0, 0]], dtype=torch.float64))
+
+
+def test_bits_are_counted(points):
+    a, b = (x.numpy() for x in (points[1][:20], points[1][20:]))
+    assert hamming(a, b).tolist() == [sum(bin(x ^ y).count("1") for x, y in zip(*r)) for r in zip(a, b)]  # noqa: B905
+
+
+def test_keyframes_share_landmarks(known):
+    for a, b in zip(range(4), range(1, 5), strict=True):
+        assert len(known.landmarks.shared(a, b)) > 50
+    assert known.around(known.database.T_WC[0])[0] == 0
+    assert known.around(known.database.T_WC[4])[-3:] == [2, 3, 4]

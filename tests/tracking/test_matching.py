@@ -6,7 +6,7 @@ import torch
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.features import Features
 from gsfusion_nb.tracking.landmark_pose import LandmarkRows
-from gsfusion_nb.tracking.matching import refine_pose, relative_pose
+from gsfusion_nb.tracking.matching import match_features, refine_pose, relative_pose
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=160.0, cy=121.0)
@@ -92,3 +92,24 @@ def test_relative_pose_from_descriptors_alone(generator, T_RQ):
     assert pose is not None
     assert len(pose.rows) == 100
     torch.testing.assert_close(pose.T_RQ, T_RQ, atol=1e-4, rtol=0)
+
+
+def test_match_by_hand():
+    """Row 0 matches row 1. Row 1 has two equally near candidates, row 2 nothing within 64 bits."""
+    zero, one = torch.zeros(32, dtype=torch.uint8), torch.full((32,), 255, dtype=torch.uint8)
+    half = zero.clone()
+    half[:16] = 255
+    mixed = zero.clone()
+    mixed[::2] = 255
+    near_zero = zero.clone()
+    near_zero[0] = 1
+    query = features(torch.stack([zero, half, mixed]))
+    reference = features(torch.stack([one, near_zero, half, half]))
+    assert match_features(query, reference).tolist() == [[0, 1]]
+
+
+@pytest.mark.parametrize(("n", "m"), [(0, 5), (5, 0), (1, 1), (1, 5)])
+def test_too_few_to_match(n, m, generator):
+    a, b = features(random_descriptors(n, generator)), features(random_descriptors(m, generator))
+    assert match_features(a, b).shape == (0, 2)
+    assert relative_pose(CAMERA, a, b) is None

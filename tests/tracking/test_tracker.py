@@ -195,3 +195,51 @@ def test_the_clearly_better_fit_is_taken(plane_scene):
     for order, best in ((("wrong", "right"), "right"), (("right", "wrong"), "right"), (("wrong",), "wrong")):
         assert best_of(sight, [tries[name] for name in order], config).start.name == best
     assert best_of(sight, [tries["almost"], tries["right"]], config).start.name == "almost"
+
+
+def test_a_frozen_frame_does_not_move(plane_scene, assert_pose):
+    reports = track_all(Tracker(), plane_scene("corner"), [*path(3), *[path(3)[2]] * 4])
+    for report in reports[2:]:
+        assert_pose(report.T_WC, path(3)[2], 5e-4, 0.03)
+
+
+def test_a_wrong_prediction_falls_back_to_the_last_pose(plane_scene, assert_pose):
+    scene, tracker = plane_scene("corner"), Tracker(TrackingConfig(max_distance_m=0.02, iterations=(3, 1, 1)))
+    leap = se3.exp(torch.tensor([0.3, 0.25, 0.2, 0.1, 0.2, 0.0]).double())
+    state = tracker.state_dict() | {
+        "before": {"T_WC": leap, "timestamp_s": 0.0},
+        "last": {"T_WC": torch.eye(4).double(), "timestamp_s": 1.0},
+    }
+    tracker = Tracker.from_state_dict(tracker.config, state)
+    report = tracker.track(scene.frame(torch.eye(4).double(), 2), scene)
+    assert (report.status, report.start) == ("recovered", "the last pose")
+    assert_pose(report.T_WC, torch.eye(4), 1e-3, 0.05)
+
+
+def test_a_motion_beyond_the_limit_is_refused(plane_scene):
+    scene, tracker = plane_scene("corner"), Tracker(TrackingConfig(max_step_m=0.01, max_step_deg=45.0))
+    tracker.track(scene.frame(torch.eye(4).double()), scene)
+    T = torch.eye(4).double()
+    T[2, 3] = 0.05
+    with pytest.raises(TrackingLostError, match=r"moved 0\.05 m and turned 0 degrees .* \(at most 0\.01 m and 45 deg"):
+        tracker.track(scene.frame(T, 1), scene)
+
+
+def test_many_corrections_leave_the_path_rigid(plane_scene):
+    """Each is made of the last pose, as the back end makes it; without care the rounding of the first would be 1 % in
+    the twentieth."""
+    tracker = Tracker()
+    track_all(tracker, plane_scene("corner"), path(3))
+    for k in range(25):
+        last = tracker.predict(2.0)
+        tracker.correct((se3.exp(0.1 * k * VELOCITY) @ se3.inverse(last)).float())
+    R = tracker.predict(2.0)[:3, :3]
+    assert float((R @ R.T - torch.eye(3)).abs().max()) < 1e-6
+
+
+def test_a_hybrid_target_is_rendered_from_the_last_pose(plane_scene, assert_pose):
+    scene = plane_scene("corner")
+    tracker = Tracker(TrackingConfig(target="hybrid"))
+    reports = track_all(tracker, scene, path(4))
+    assert_pose(scene.rendered[-1], reports[-2].T_WC, 1e-6, 1e-3)
+    assert_pose(reports[-1].T_WC, path(4)[3], 1e-3, 0.05)
