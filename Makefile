@@ -45,7 +45,7 @@ test: dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 # Runs that are killed and resumed, damaged files, every test marked slow, a class in nbgrader, and changes of the
-# program that some test must notice: see docs/trust.md. Four hours on two cores. MUTANTS: how many changes of each room,
+# program that some test must notice: see docs/trust.md. About four hours. MUTANTS: how many changes of each room,
 # MINUTES: when to stop beginning others.
 MUTANTS ?= 40
 MINUTES ?= 120
