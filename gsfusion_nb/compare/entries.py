@@ -16,14 +16,14 @@ from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..files import SequenceError, read_text
 from ..mapping import get_system, system_of
 from ..seeding import Option, SeedingRule, check_options, rule_name
-from ..seeding.rule_code import find_rule, is_rule_file, read_rule_file
+from ..seeding.rule_code import find_rule, is_rule_file, read_rule_file, rule_folder
 from ..work import ProgressDisplay
 from .map_scene import Entry
 from .outputs import Results, Table
 from .paired_tests import TESTS
 from .run_all import ResultStore, run_all
 from .schedule import changed_settings
-from .spec import Budget, RunResult, RunSpec, identity_of, label_of
+from .spec import Budget, RunResult, RunSpec, label_of
 from .tune import size_option, start_value
 
 
@@ -60,14 +60,15 @@ class Entrant:
                 option names. KeyError, TypeError: no such rule, or an option that it does not have.
         """
         rule = self.rule
-        source = read_rule_file(rule)[0] if isinstance(rule, str) and is_rule_file(rule) else ""
+        is_file = isinstance(rule, str) and is_rule_file(rule)
+        source = read_rule_file(rule)[0] if is_file else ""
         found = find_rule(rule)
         check_options(found, self.options)
         spec = RunSpec(
             rule=rule if isinstance(rule, str) else rule_name(rule), label=self.name, options=self.options,
             size_option=self.size_option, size_range=self.size_range,
-            rule_source=source, **identity_of(found, self.options), **fields,
-        )  # fmt: skip
+            rule_source=source, rule_folder=str(rule_folder(rule)) if is_file else "", **fields,
+        ).with_code(found)  # fmt: skip
         return Entry(spec=spec, rule=None if isinstance(rule, str) else rule, sequence=sequence)
 
 
@@ -325,13 +326,16 @@ def _rule(path: Path, values: dict[str, Any], shared: Mapping[str, Any], budget:
     parts["settings"] = _dotted(values.get("settings", {}))
     tuned_on = parts.pop("tuned_on", "")
     if is_rule_file(parts["rule"]):
-        parts["rule_source"], _ = read_rule_file(str(path.parent / parts["rule"]))
+        place = str(path.parent / parts["rule"])
+        parts["rule_source"], _ = read_rule_file(place)
+        parts["rule_folder"] = str(rule_folder(place))
     if "size_range" in parts:
         parts["size_range"] = tuple(parts["size_range"])
     spec = RunSpec(**_merged(shared, parts), budget=budget)
-    rule = Entry(spec=spec).found_rule()
+    rule = spec.found_rule()
     check_run(spec, rule)
-    return parts | identity_of(rule, options) | {"tuned_on": tuned_on}
+    found = spec.with_code(rule)
+    return parts | {"code": found.code, "not_kept": found.not_kept, "tuned_on": tuned_on}
 
 
 def _scene(path: Path, values: dict[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,8 @@ from ..seeding import SeedingRule, rule_name
 from ..work import usable_cores
 from .map_scene import Entry, OnStep
 from .one_run import run_entry
-from .spec import RunResult, RunSpec, run_key
+from .program import look_at_program_again, run_key
+from .spec import RunResult, RunSpec
 from .tune import tune, tuning_spec
 
 _ONE_AT_A_TIME = threading.Lock()
@@ -82,7 +83,8 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
         try:
             if task.program not in ("", run_key()):
                 raise ValueError(
-                    "this process has another version of gsfusion_nb, or of a library, than the comparison"
+                    "this process has another version of gsfusion_nb, or of a library, than the comparison, or one of "
+                    "their files was edited after it began: restart it"
                 )
             rule = pickle.loads(task.rule) if isinstance(task.rule, bytes) else task.rule
             entry = Entry(spec=task.spec, rule=rule, sequence=task.sequence)
@@ -94,6 +96,12 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
             return Answer(result=result, pictures=pictures)
         except Exception as e:  # a user's rule may raise anything
             return Answer(reason=f"{type(e).__name__}: {e}")
+
+
+def do_sent_task(task: Task) -> Answer:
+    """``do_task`` in a process that may have been there for long: what it has loaded is compared anew."""
+    look_at_program_again()
+    return do_task(task)
 
 
 def _pickled(rule: SeedingRule | bytes) -> bytes:
@@ -182,7 +190,7 @@ def executor(jobs: int = 1, dask: str = "") -> Iterator[Executor]:
             yield on_dask(client)
     elif jobs > 1:
         with _processes(jobs) as pool:
-            yield OnFutures(lambda task: pool.submit(do_task, task), concurrent.futures.wait)
+            yield OnFutures(lambda task: pool.submit(do_sent_task, task), concurrent.futures.wait)
     else:
         yield InProcess()
 
@@ -196,7 +204,7 @@ def on_dask(client: Any) -> OnFutures:
     from distributed import wait
 
     def submit(task: Task) -> Any:
-        return client.submit(do_task, task, pure=False, priority=int(task.kind == "run"))
+        return client.submit(do_sent_task, task, pure=False, priority=int(task.kind == "run"))
 
     def wait_for_workers_too(futures: list[Any], return_when: str) -> Any:
         alone_since = time.monotonic()

@@ -18,12 +18,15 @@ from ..data.room import RoomSequence
 from ..mapping import Mapper, StepReport, make_mapper
 from ..runs import MappingRun
 from ..runs.outputs import score
-from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_map_rule, rule_files
-from ..seeding.rule_code import rule_of_source
+from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_built_in, is_map_rule
+from ..seeding.code_key import code_key, differing
+from ..seeding.rule import option_paths
+from ..seeding.rule_code import refuse_undeclared
+from ..seeding.rule_guard import only_declared
 from ..types import Seeds
 from ..work import PeakMemory
 from .schedule import dotted, fixed_schedule, flat_settings, with_settings
-from .spec import RunSpec
+from .spec import ONLY_NOW, RunSpec
 
 
 def thinned(rule: SeedingRule, share: float) -> SeedingRule:
@@ -74,6 +77,7 @@ def _variant(rule: SeedingRule, seeds: Callable[[SeedContext, Callable[[SeedCont
 
         for name in ("__name__", "__qualname__", "__module__", "__doc__"):
             setattr(Variant, name, getattr(rule, name))
+        setattr(Variant, _ORIGINAL, rule)
         return cast(SeedingRule, Variant)
 
     function: Any = rule
@@ -82,7 +86,18 @@ def _variant(rule: SeedingRule, seeds: Callable[[SeedContext, Callable[[SeedCont
     def variant(ctx, **options):
         return seeds(ctx, lambda ctx: function(ctx, **options))
 
+    setattr(variant, _ORIGINAL, rule)
     return variant
+
+
+_ORIGINAL = "__variant_of__"
+
+
+def original(rule: SeedingRule) -> SeedingRule:
+    """The rule of which ``rule`` is a variant, or itself."""
+    while _ORIGINAL in getattr(rule, "__dict__", {}):
+        rule = vars(rule)[_ORIGINAL]
+    return rule
 
 
 def _draw(seeds: Seeds, share: float, generator: torch.Generator) -> Seeds:
@@ -128,10 +143,7 @@ class Entry:
         Raises:
             KeyError: no such rule. ValueError: the source of the rule cannot be loaded.
         """
-        if self.rule is None and self.spec.rule_source:
-            file, _, name = self.spec.rule.rpartition(":")
-            return rule_of_source(self.spec.rule_source, name, file)
-        return get_rule(self.rule if self.rule is not None else self.spec.rule)
+        return self.spec.found_rule() if self.rule is None else get_rule(self.rule)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,6 +188,8 @@ def map_scene(
     memory = PeakMemory("cuda" if entry.spec.device.startswith("cuda") else "cpu")
     with contextlib.nullcontext() if scratch else memory:
         mapper, notes = _mapper(entry, config)
+        if entry.spec.not_kept:
+            notes.append(f"not kept for later commands: {entry.spec.not_kept}")
         notes += _asked(mapper, len(sequence.mapping))
         run, cpu_s, n_steps = MappingRun(sequence, mapper), [], 0
         frames = run.online()
@@ -215,16 +229,17 @@ def budgeted(spec: RunSpec) -> SystemConfig:
 def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
     """A mapper with the rule of ``entry``, and notes on the settings that the rule brings."""
     spec, notes = entry.spec, []
+    own = original(entry.found_rule())
+    refuse_other_code(spec, own)
     rule = _asked_at_its_pace(entry.found_rule(), spec, config)
     if spec.keep_share < 1:
         rule = thinned(rule, spec.keep_share)
-    if spec.rule_files is not None and spec.rule_files != (here := rule_files(rule, spec.options)):
-        changed = ", ".join(name for name in here if here[name] != spec.rule_files.get(name))
-        raise ValueError(
-            f"the files of the options {changed} of the rule {spec.rule_name} are not those with which this comparison "
-            "was started; start it again, and give every worker the same files"
-        )
     mapper = make_mapper(config, seeding=rule, device=spec.device)
+    if not is_built_in(own):
+        files = code_key(own).files
+        refuse_undeclared(own, files)
+        places = [*option_paths(own, spec.options).values(), *files]
+        mapper.rule_in_use.watched = lambda: only_declared(spec.rule_name, places)
     used, given = flat_settings(mapper.config), flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
         if dotted(name) not in used:  # keyframe_every in a system that chooses its keyframes by motion
@@ -234,6 +249,24 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
         elif given[dotted(name)] != value:
             notes.append(f"the rule sets {dotted(name)} = {value}, in place of {given[dotted(name)]}")
     return mapper, notes
+
+
+def refuse_other_code(spec: RunSpec, rule: SeedingRule) -> None:
+    """Raise ``ValueError`` if the code of a run is not the one with which its comparison was started.
+
+    A process keeps the modules that it has loaded, and another machine may have other files.
+    """
+    if spec.code is None:
+        return
+    wanted, here = dict(spec.code), dict(spec.with_code(rule).code or {})
+    for parts in (wanted, here):
+        parts.pop(ONLY_NOW, None)
+    if wanted != here:
+        raise ValueError(
+            f"the code of the rule {spec.rule_name} in this process is not the one with which the comparison was "
+            f"started; different: {differing(wanted, here)}. Start the comparison again, give every worker the same "
+            "files and packages, and restart workers that loaded the code before it was edited"
+        )
 
 
 def _paced(config: SystemConfig, sequence: OpenedSequence) -> SystemConfig:

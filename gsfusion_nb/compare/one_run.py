@@ -19,7 +19,8 @@ from ..runs.outputs import environment, map_hashes, nan_views, score_mesh, score
 from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import published_training, rule_source
 from .map_scene import Entry, Mapped, OnStep, budgeted, finished, map_scene
-from .spec import Budget, RunResult, RunSpec, libraries
+from .program import libraries
+from .spec import Budget, RunResult, RunSpec
 from .tune import is_tuned, tune, tuning_spec, with_tuned
 
 MOST_PICTURES = 3

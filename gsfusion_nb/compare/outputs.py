@@ -19,10 +19,11 @@ from .equal_maps import EqualMaps, equal_maps
 from .map_scene import budgeted
 from .page import figure_of, page_html
 from .paired_tests import TESTS, Comparison, RankTest, against_reference, all_pairs, named_reference, rank_test
+from .program import package_fingerprint
 from .run_all import ResultStore
 from .scene_units import scene_units, shared_frames
 from .schedule import flat_settings
-from .spec import RunResult, RunSpec, package_fingerprint
+from .spec import RunResult, RunSpec
 from .statistics import (
     COLUMNS,
     Group,

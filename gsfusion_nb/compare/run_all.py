@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import json
 import logging
+import uuid
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,11 @@ from typing import Any
 from ..backends import chosen
 from ..files import cache_folder, read_object, write_file
 from ..seeding import SeedingRule, is_built_in, registered
+from .admission import Admission, admission
 from .executors import Answer, Executor, InProcess, Task
-from .map_scene import Entry
-from .spec import RunResult, RunSpec, look_again, run_key
+from .map_scene import Entry, original
+from .program import run_key
+from .spec import ONLY_NOW, RunResult, RunSpec, look_again
 from .tune import is_tuned, tuning_spec
 
 log = logging.getLogger(__name__)
@@ -35,6 +38,8 @@ class ResultStore:
 
     def find(self, spec: RunSpec) -> RunResult | None:
         """The result of a run with the key of ``spec`` that is done, with the labels of ``spec``; None if none is."""
+        if spec.not_kept:
+            return None
         path = self.folder / RESULTS / f"{spec.key}.json"
         try:
             found = RunResult.load(path) if path.is_file() else None
@@ -79,23 +84,76 @@ def run_all(
         executor: Where the runs are done; in this process by default.
     """
     look_again()
-    entries = [dataclasses.replace(entry, spec=dataclasses.replace(entry.spec)) for entry in entries]
+    entries = with_code_of_now(entries)
+    admitted = _Admitted(store)
     same: dict[str, list[int]] = {}
     known: dict[int, RunResult] = {}
     for i, entry in enumerate(entries):
         found = store.find(entry.spec)
+        if found is None:
+            entries[i], found = admitted.ask(entry)
         if found is not None:
             known[i] = found
         else:
-            same.setdefault(entry.spec.key, []).append(i)
+            same.setdefault(entries[i].spec.key, []).append(i)
     left = {positions[0]: positions for positions in same.values()}
     plan = _Plan(entries, store, executor or InProcess())
     plan.begin(list(left))
     yield from known.items()
     while left:
         for i, result in plan.next():
-            store.keep(result)
+            if not result.spec.not_kept:
+                store.keep(result)
             yield from ((k, dataclasses.replace(result, spec=entries[k].spec)) for k in left.pop(i))
+
+
+def with_code_of_now(entries: Sequence[Entry]) -> list[Entry]:
+    """The runs with what their code is now; a run whose rule cannot be found, which will fail, as it is."""
+    found: dict[Any, RunSpec] = {}
+    changed = []
+    for entry in entries:
+        spec = entry.spec
+        asked = (id(entry.rule), spec.rule, spec.rule_source, spec.rule_folder, spec.system, repr(spec.options))
+        if asked not in found:
+            try:
+                found[asked] = spec.with_code(original(entry.found_rule()))
+            except (KeyError, ValueError, TypeError, OSError):
+                found[asked] = dataclasses.replace(spec, code=None)
+        now = found[asked]
+        changed.append(dataclasses.replace(entry, spec=dataclasses.replace(spec, code=now.code, not_kept=now.not_kept)))
+    return changed
+
+
+class _Admitted:
+    """Asks once for each entrant whether it may take part."""
+
+    def __init__(self, store: ResultStore):
+        self._folder = store.folder / "checks"
+        self._found: dict[str, Admission] = {}
+        self._only_now: dict[str, str] = {}
+
+    def ask(self, entry: Entry) -> tuple[Entry, RunResult | None]:
+        """The run, with why its result is not kept if the check found that; and its result if it is refused."""
+        spec = entry.spec
+        asked = repr((spec.rule, sorted((spec.code or {}).items()), sorted(map(repr, spec.options.items()))))
+        if asked not in self._found:
+            self._found[asked] = self._checked(entry)
+        found = self._found[asked]
+        if found.refused:
+            return entry, RunResult(spec=spec, status="failed", reason=found.refused)
+        if found.not_kept:
+            alone = self._only_now.setdefault(asked, uuid.uuid4().hex)
+            code = {**(spec.code or {}), ONLY_NOW: alone}
+            entry = dataclasses.replace(entry, spec=dataclasses.replace(spec, code=code, not_kept=found.not_kept))
+        return entry, None
+
+    def _checked(self, entry: Entry) -> Admission:
+        if not entry.spec.code:
+            return Admission()
+        try:
+            return admission(entry, self._folder)
+        except (KeyError, ValueError, TypeError, OSError) as e:
+            return Admission(refused=f"{type(e).__name__}: {e}")
 
 
 class _Plan:
@@ -111,7 +169,8 @@ class _Plan:
         waiting: dict[str, list[int]] = {}
         for i in runs:
             spec = self._entries[i].spec
-            tuned = self._store.find_tuned(spec) if is_tuned(spec) else None
+            is_kept = is_tuned(spec) and not spec.not_kept
+            tuned = self._store.find_tuned(spec) if is_kept else None
             if is_tuned(spec) and tuned is None:
                 waiting.setdefault(tuning_key(spec), []).append(i)
             else:
@@ -129,7 +188,8 @@ class _Plan:
         waiting = self._waiting[number]
         if answer.tuned is None:
             return [(i, self._result(i, answer)) for i in waiting]
-        self._store.keep_tuned(self._entries[waiting[0]].spec, answer.tuned)
+        if not self._entries[waiting[0]].spec.not_kept:
+            self._store.keep_tuned(self._entries[waiting[0]].spec, answer.tuned)
         for i in waiting:
             self._put("run", i, i, answer.tuned)
         return []

@@ -2,16 +2,14 @@
 
 import dataclasses
 import functools
-import hashlib
-import importlib.util
 import json
 import math
+import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from .. import __version__
 from ..backends import MINE, BackendUnavailable, chosen
 from ..checks import check_number, shown
 from ..config import to_dict
@@ -19,50 +17,13 @@ from ..config.values import check_kinds, within
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..files import read_object, write_file
 from ..mapping import get_system
-from ..seeding import Option, SeedingRule, is_built_in, registered, rule_files, rule_fingerprint
+from ..seeding import Option, SeedingRule, get_rule
+from ..seeding.rule_code import rule_of_source
+from .program import look_at_program_again, own_code, run_key
 from .schedule import with_settings
 
-_CODE = {".py", ".toml", ".cu", ".cuh"}
-
-
-@functools.cache
-def libraries() -> dict[str, str]:
-    """The libraries that compute the numbers of a run, and their versions."""
-    import cv2
-    import numba
-    import numpy as np
-    import torch
-
-    return {"torch": torch.__version__, "numba": numba.__version__, "numpy": np.__version__, "opencv": cv2.__version__}
-
-
-def run_key(**parts: Any) -> str:
-    """A key of ``parts`` (plain values), of this package's version and source, and of ``libraries()``: 32 hexadecimal
-    digits.
-
-    Two runs with the same key give the same map on one machine. A change in the data, the settings, a rule, an option,
-    the seed, the program or its libraries gives another key.
-    """
-    parts |= {"version": __version__, "package": package_fingerprint(), "libraries": libraries()}
-    text = json.dumps(parts, sort_keys=True, default=str)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-
-
-@functools.cache
-def package_fingerprint() -> str:
-    """A hash of the source of this package and its kernels, but not of JupyterLab's copies of opened files."""
-    digest = hashlib.blake2b(digest_size=16)
-    for root in _source_folders():
-        for file in sorted(p for p in root.rglob("*") if p.suffix in _CODE and p.parent.name != ".ipynb_checkpoints"):
-            digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()
-
-
-def _source_folders() -> list[Path]:
-    package = (__package__ or "").split(".")[0]
-    kernels = importlib.util.find_spec(f"{package}.kernels")
-    places = kernels.submodule_search_locations if kernels is not None else None
-    return [Path(__file__).resolve().parents[1], *(Path(place) for place in places or ())]
+ONLY_NOW = "only in this command"
+"""Part of the code of a run whose code cannot be hashed, so that no other run has the same key."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,10 +86,13 @@ class RunSpec:
     """Share of the rule's seeds that is kept, drawn at random; 1 keeps all."""
     rule_source: str = ""
     """Source of the file that the rule comes from; empty for a rule of this package."""
-    rule_hash: str = ""
-    """``rule_fingerprint`` of a rule that is not of this package, with its helper modules; otherwise empty."""
-    rule_files: Mapping[str, str] | None = None
-    """Option of the rule -> hash of the file or folder that it names; found when the key is asked for if None."""
+    rule_folder: str = ""
+    """Folder of that file, where the modules are that it imports from beside it; empty: there are none."""
+    code: Mapping[str, str] | None = None
+    """What decides what the rule does, and a system that is not of this package: part -> its hash or version
+    (``CodeKey.parts``), with the files that the rule's options name. Found when the key is asked for if None."""
+    not_kept: str = ""
+    """Why no later command can use the result of this run; empty if it can."""
     data_hash: str = ""
     """``sequence_fingerprint`` of a sequence that was opened by the caller; otherwise empty."""
     device: str = "cpu"
@@ -204,12 +168,43 @@ class RunSpec:
                 'use it outside `with use_backend("mine")`'
             )
         parts = self.to_json()
-        for name in ("label", "scene", "data", "rule", "preset", "fidelity", "settings"):
-            parts.pop(name)  # names, and what the settings say
-        known = registered().get(self.rule)
-        if known is not None and not is_built_in(known):  # registered in this process, such as in a notebook
-            parts |= identity_of(known, self.options)
+        for name in ("label", "scene", "data", "rule", "preset", "fidelity", "settings", "rule_source", "rule_folder"):
+            parts.pop(name)  # names, and what the settings and the code say
+        parts |= self._code()
         return run_key(**parts, config=to_dict(self.config()), content=self.content, backend=chosen())
+
+    def found_rule(self) -> SeedingRule:
+        """The rule that the run names.
+
+        Raises:
+            KeyError: no such rule. ValueError: the source of the rule cannot be loaded.
+        """
+        if not self.rule_source:
+            return get_rule(self.rule)
+        file, _, name = self.rule.rpartition(":")
+        folder = Path(self.rule_folder) if self.rule_folder else None
+        place = file if folder is None else str(folder / Path(file).name)
+        return rule_of_source(self.rule_source, name, place, folder)
+
+    def with_code(self, rule: SeedingRule) -> "RunSpec":
+        """The run with what its code is now: ``code``, and ``not_kept``.
+
+        Raises:
+            FileNotFoundError: an option names a file that does not exist. KeyError: no such system.
+        """
+        found = own_code(rule, self.options, self.system)
+        if found["not_kept"]:
+            found["code"][ONLY_NOW] = uuid.uuid4().hex
+        return dataclasses.replace(self, **found)
+
+    def _code(self) -> dict[str, Any]:
+        if self.code is not None:
+            return {}
+        try:
+            found = self.with_code(self.found_rule())
+        except (KeyError, ValueError, TypeError, OSError) as e:  # the run fails with it
+            return {"code": f"{type(e).__name__}: {e}"}
+        return {"code": dict(found.code or {}), "not_kept": found.not_kept}
 
     def to_json(self) -> dict[str, Any]:
         """The run as plain values."""
@@ -232,17 +227,6 @@ class RunSpec:
         )
 
 
-def identity_of(rule: SeedingRule, options: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields ``rule_hash`` and ``rule_files`` of a run with this rule.
-
-    Raises:
-        FileNotFoundError: an option names a file that does not exist.
-    """
-    if is_built_in(rule):
-        return {}
-    return {"rule_hash": rule_fingerprint(rule), "rule_files": rule_files(rule, options)}
-
-
 def label_of(rule: str, options: Mapping[str, Option]) -> str:
     """Name of a rule with options in tables: "uniform fraction=0.1"."""
     return " ".join([rule, *(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in options.items())])
@@ -253,8 +237,9 @@ _seen: dict[str, str] = {}
 
 
 def look_again() -> None:
-    """Forget what the data are: whoever asks for them next looks at the files anew."""
+    """Forget what the data and the program are: whoever asks for them next looks at the files anew."""
     _seen.clear()
+    look_at_program_again()
 
 
 MEASURED = frozenset({

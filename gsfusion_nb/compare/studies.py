@@ -18,7 +18,7 @@ from ..config import presets
 from ..config.values import named, named_values, parse_value, read_packaged
 from ..mapping import SYSTEMS, get_system
 from ..seeding import check_options
-from ..seeding.rule_code import is_rule_file, read_rule_file
+from ..seeding.rule_code import is_rule_file, read_rule_file, rule_folder
 from . import roofline
 from .command import WhereOptions, run_and_write
 from .map_scene import Entry
@@ -219,8 +219,9 @@ def recording_specs(
     specs = [spec_with({**shared, **values}, label, **fields) for label, values in variants.items()]
     for spec in specs:
         spec.config()
-        check_options(Entry(spec=spec).found_rule(), spec.options)
+        check_options(spec.found_rule(), spec.options)
     Entry(spec=specs[0]).opened()
+    specs = [spec.with_code(spec.found_rule()) for spec in specs]
     return [dataclasses.replace(spec, seed=seed) for spec in specs for seed in range(options.seeds)]
 
 
@@ -264,7 +265,10 @@ def spec_with(values: Values, label: str, **fields: Any) -> RunSpec:
     options |= {name.removeprefix(OPTION): v for name, v in values.items() if name.startswith(OPTION)}
     settings = {name: v for name, v in values.items() if not name.startswith(OPTION)}
     source = read_rule_file(rule)[0] if is_rule_file(rule) else ""
-    return dataclasses.replace(base, rule=rule, options=options, settings=settings, rule_source=source)
+    folder = str(rule_folder(rule)) if source else ""
+    return dataclasses.replace(
+        base, rule=rule, options=options, settings=settings, rule_source=source, rule_folder=folder
+    )
 
 
 def parse_axis(text: str) -> tuple[str, list[Any]]:

@@ -9,8 +9,8 @@ from typing import Any
 
 from ..checks import shown
 from ..config import SystemConfig
-from ..seeding import SeedingRule, rule_name, rule_options
-from .map_scene import Entry, OnStep, budgeted, map_scene, observed
+from ..seeding import SeedingRule, is_built_in, rule_name, rule_options
+from .map_scene import Entry, OnStep, budgeted, map_scene, observed, original
 from .schedule import dotted, flat_settings, without_steps
 from .spec import RunSpec
 
@@ -54,7 +54,7 @@ def size_option(spec: RunSpec, rule: SeedingRule) -> SizeOption:
     Raises:
         ValueError: there is none, the rule does not have it, or it is not a number.
     """
-    known = SIZE_OPTIONS.get(rule_name(rule)) if not spec.rule_source and not spec.rule_hash else None
+    known = SIZE_OPTIONS.get(rule_name(rule)) if is_built_in(original(rule)) else None
     name = dotted(spec.size_option) or (known.name if known else "")
     if not name:
         raise ValueError(

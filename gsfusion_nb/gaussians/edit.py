@@ -65,7 +65,8 @@ class Edit:
     add: Seeds | None = None
     """New Gaussians."""
     keep: Tensor | None = None
-    """Mask [N]: rows where it is false are removed."""
+    """Mask [N]: rows where it is false are removed, with the copies and halves that ``clone`` and ``split`` make of
+    them. So a rule may ask for both of one row, as gsplat does, which first duplicates and splits and then prunes."""
     min_opacity: float = 0.005
     """Lowest opacity that ``relocate`` and ``clone_shares`` give."""
 
@@ -103,10 +104,11 @@ class Edit:
             _check_add(self.add)
         if clone is not None and split is not None and (both := clone[torch.isin(clone, split)]).numel():
             raise ValueError(f"row {int(both[0])} is both cloned and split; do one of them")
-        used = {"cloned": clone, "split": split}
-        used |= {} if moved is None else {"relocated": moved[0], "moved to": moved[1]}
+        if keep is not None:
+            clone, split = (None if rows is None else rows[keep[rows]] for rows in (clone, split))
+        used = {} if moved is None else {"relocated": moved[0], "moved to": moved[1]}
         for what, rows in used.items():
-            if keep is not None and rows is not None and (gone := rows[~keep[rows]]).numel():
+            if keep is not None and (gone := rows[~keep[rows]]).numel():
                 raise ValueError(f"row {int(gone[0])} is both {what} and removed; do one of them")
         return dataclasses.replace(self, set=new_set, relocate=moved, clone=clone, split=split, keep=keep)
 

@@ -452,7 +452,8 @@ class Mapper(ABC):
             )
         if not self.rule_is_due(is_keyframe):
             return Seeds.empty(context.frame.depth_m)
-        return apply_rule(self.rule, context, self.config.seeding.options, **checks)
+        with self.rule_in_use.watched():
+            return apply_rule(self.rule, context, self.config.seeding.options, **checks)
 
     def rule_is_due(self, is_keyframe: bool | None) -> bool:
         """Whether the rule is asked in the frame that is mapped next (``MapRule.when``)."""
@@ -537,10 +538,10 @@ class Mapper(ABC):
         mapper = cls(settings, seeding=rule, device=device, **given)
         mapper.notes += mapper.training.notes_on(state.get("training", {}))
         mapper.rule_in_use.load_state_dict(state["rule"])
-        if mapper.rule_in_use.differs(state["rule"]):
+        if changes := mapper.rule_in_use.difference(state["rule"]):
             mapper.notes.append(
                 f"after {state['n_frames']} frames the run continued with another seeding rule, or an edited one: "
-                f"{shown(rule_name(mapper.rule))} instead of {shown(state['rule']['name'])}"
+                f"{shown(rule_name(mapper.rule))} instead of {shown(state['rule']['name'])}; different: {changes}"
             )
         mapper._load(state)
         return mapper

@@ -1,7 +1,9 @@
 """The seeding rule of a mapper: options, memory, times, settings that it brings, edits after gradient steps."""
 
+import contextlib
 import dataclasses
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -17,9 +19,10 @@ from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
 from ..render import Footprints, footprints
 from ..seeding import EVERY_FRAME, MapRule, SeedContext, SeedingRule, StepStats, When, check_memory, copy_memory
+from ..seeding.apply import unchanged_inputs
+from ..seeding.code_key import code_key, differing, loaded_values, rule_fingerprint
 from ..seeding.points import add_up
 from ..seeding.rule import check_needs, is_map_rule, option_values, registered, rule_name, rule_options
-from ..seeding.rule_code import read_code, rule_fingerprint
 from ..types import Camera, Frame
 
 log = logging.getLogger(__name__)
@@ -56,9 +59,13 @@ class RuleInUse:
         """In which frames it is asked for seeds."""
         self.memory: dict[str, Any] = {}
         """What it keeps from one frame to the next; always the same dict."""
-        read = read_code(rule)
-        self._fingerprint = read.hash.hexdigest()
-        for kept in read.caches:  # of an earlier mapper; files may have changed since
+        self.watched: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext
+        """Context around each call of the rule, for an observer."""
+        key = code_key(rule)
+        self._fingerprint = key.digest
+        self._parts = dict(key.parts)
+        self._values = loaded_values(rule)
+        for kept in key.caches:  # of an earlier mapper; files may have changed since
             kept.cache_clear()
 
     def state_dict(self) -> dict[str, Any]:
@@ -71,7 +78,8 @@ class RuleInUse:
         return {
             "name": rule_name(self.rule),
             "fingerprint": self._fingerprint,
-            "changed": self.map_rule is None and rule_fingerprint(self.rule) != self._fingerprint,
+            "parts": dict(self._parts),
+            "changed": self.map_rule is None and loaded_values(self.rule) != self._values,
             "memory": copy_memory(self.memory),
         }
 
@@ -95,16 +103,23 @@ class RuleInUse:
         self.memory.clear()
         self.memory.update(kept)
 
-    def differs(self, state: dict[str, Any]) -> bool:
-        """Whether this is not the rule of ``state``, or it was edited since."""
-        return state["name"] != rule_name(self.rule) or state["fingerprint"] != self._fingerprint
+    def difference(self, state: dict[str, Any]) -> str:
+        """What differs from the rule of ``state`` in words: its name, or parts of its key; empty if nothing does."""
+        if state["name"] != rule_name(self.rule):
+            return "its name"
+        if state["fingerprint"] == self._fingerprint:
+            return ""
+        return differing(state.get("parts", {}), self._parts) or "what cannot be hashed"
 
 
 def check_known(state: dict[str, Any]) -> None:
     """Raise ``SequenceError`` if the rule of a checkpoint is not the one that is registered here by its name."""
     name, known = state["name"], registered().get(state["name"])
     if known is None or rule_fingerprint(known) != state["fingerprint"]:
-        what = "is not known here" if known is None else "is not the one that is registered here by that name"
+        what = "is not known here"
+        if known is not None:
+            changes = differing(state.get("parts", {}), code_key(known).parts)
+            what = f"is not the one that is registered here by that name (it differs in {changes})"
         raise SequenceError(
             f"the seeding rule {shown(name)} of this run {what}; its source is in rule.py of the run's folder: define "
             "it and continue with it in Python: resume_mapping(folder, seeding=<the rule>)"
@@ -228,6 +243,7 @@ class AfterSteps:
 
     def __init__(self, rule: RuleInUse):
         made = rule.map_rule
+        self._used = rule
         self._rule, self._name = made, rule_name(rule.rule)
         self._needs: frozenset[str] = frozenset() if made is None else made.statistics()
         check_needs(self._needs, f"seeding rule {self._name!r}: statistics()")
@@ -358,7 +374,8 @@ class AfterSteps:
 
     def _edit(self, mapper: Any, ctx: SeedContext, stats: StepStats) -> None:
         assert self._rule is not None
-        edit = self._rule.after_step(ctx, stats, ctx.memory)
+        with self._used.watched(), unchanged_inputs(ctx, self._used.rule, is_quick=True):
+            edit = self._rule.after_step(ctx, stats, ctx.memory)
         check_memory(self._name, ctx.memory)
         if edit is None:
             return

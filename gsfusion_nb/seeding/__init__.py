@@ -10,6 +10,9 @@ from .apply import keep_one_per_voxel as keep_one_per_voxel
 from .apply import move_memory as move_memory
 from .check import check_contexts as check_contexts
 from .check import check_rule as check_rule
+from .code_key import CodeKey as CodeKey
+from .code_key import code_key as code_key
+from .code_key import rule_fingerprint as rule_fingerprint
 from .context import SeedContext as SeedContext
 from .points import MapView as MapView
 from .points import abs_image_gradient as abs_image_gradient
@@ -39,7 +42,5 @@ from .rule import seeding_rule as seeding_rule
 from .rule import submaps as submaps
 from .rule import trained_otherwise as trained_otherwise
 from .rule_code import is_built_in as is_built_in
-from .rule_code import read_code as read_code
 from .rule_code import rule_files as rule_files
-from .rule_code import rule_fingerprint as rule_fingerprint
 from .rule_code import rule_source as rule_source

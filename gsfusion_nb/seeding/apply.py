@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, cast
 
 import torch
@@ -15,6 +16,7 @@ from ..geometry.operands import MAX_DISTANCE_M
 from ..types import Seeds
 from .context import SeedContext
 from .rule import Option, SeedingRule, get_rule, is_map_rule, option_values, rule_name
+from .rule_code import is_built_in
 
 _PLAIN = (type(None), bool, int, float, str)
 _RESERVED = "$"
@@ -131,14 +133,15 @@ def apply_rule(
         KeyError: no such rule. TypeError: unknown option, wrong type of option or of result, or something in the
             rule's memory that cannot be saved.
         ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1, or an
-            implausibly large position or scale.
+            implausibly large position or scale; or the rule changed what it was given to read.
     """
     found = get_rule(rule)
     values: Any = option_values(found, options or {})
-    if is_map_rule(found):
-        seeds = found(**values).seeds(ctx, ctx.memory)
-    else:
-        seeds = cast(Callable[..., Seeds], found)(ctx, **values)
+    with unchanged_inputs(ctx, found):
+        if is_map_rule(found):
+            seeds = found(**values).seeds(ctx, ctx.memory)
+        else:
+            seeds = cast(Callable[..., Seeds], found)(ctx, **values)
     check_memory(rule_name(rule), ctx.memory)
     try:
         _check_seeds(seeds, ctx)
@@ -209,6 +212,79 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
         }.get(name, ("", True))
         if not fits:
             raise ValueError(f"{name} must be {wanted}, got {low:g} to {high:g}")
+
+
+class ChangedInputError(ValueError):
+    """A rule changed something in place that it may only read; ``what`` names it."""
+
+    def __init__(self, rule: str, what: str):
+        super().__init__(
+            f"seeding rule {rule!r} changed {what} in place, which the map and other rules use too; work on a copy "
+            "(x.clone())"
+        )
+        self.what = what
+
+
+@contextmanager
+def unchanged_inputs(ctx: SeedContext, rule: SeedingRule, *, is_quick: bool = False) -> Iterator[None]:
+    """Context in which a rule may change its memory, but nothing else of what it was given.
+
+    The rules of this package are not watched. A change of the frame is undone. Of the Gaussians and the frame every
+    change is seen, of the rest those that torch makes.
+
+    Args:
+        ctx: What the rule sees.
+        rule: The rule.
+        is_quick: Only changes that torch makes are looked for, everywhere; for calls after each gradient step.
+
+    Raises:
+        ChangedInputError: at the end of the context, if the rule changed one of them in place.
+    """
+    if is_built_in(rule):
+        yield
+        return
+    _ = ctx.frame.rgb  # made now, so that it is among them
+    watched = list(context_tensors(ctx))
+    versions = [_version(tensor) for _, tensor in watched]
+    copies = {name: tensor.clone() for name, tensor in watched if name.startswith("frame.") and not is_quick}
+    sums = {name: _sum_of_bits(tensor) for name, tensor in watched if name.startswith("map.") and not is_quick}
+    changed = ""
+    try:
+        yield
+    finally:
+        for (name, tensor), version in zip(watched, versions, strict=True):
+            is_same = _version(tensor) == version
+            if name in copies and not _same_bits(tensor, copies[name]):
+                is_same = False
+                tensor.copy_(copies[name])
+            if name in sums and _sum_of_bits(tensor) != sums[name]:
+                is_same = False
+            if not is_same:
+                changed = changed or name
+    if changed:
+        raise ChangedInputError(rule_name(rule), changed)
+
+
+def _version(tensor: Tensor) -> int:
+    """Number of changes in place that torch made to a tensor, or to what it is a view of."""
+    return 0 if tensor.is_inference() else tensor._version
+
+
+def _same_bits(a: Tensor, b: Tensor) -> bool:
+    return torch.equal(_bits(a), _bits(b))
+
+
+def _bits(tensor: Tensor) -> Tensor:
+    """Floats as whole numbers, so that NaN equals itself."""
+    kinds = {torch.float32: torch.int32, torch.float64: torch.int64, torch.float16: torch.int16}
+    return tensor.view(kinds[tensor.dtype]) if tensor.dtype in kinds else tensor
+
+
+def _sum_of_bits(tensor: Tensor) -> int:
+    """A number that a change of any value changes."""
+    bits = _bits(tensor.detach()).flatten(1) if tensor.ndim > 1 else _bits(tensor.detach())[:, None]
+    weights = torch.arange(1, bits.shape[1] + 1, device=bits.device)
+    return int((bits.sum(dim=0) * weights).sum())
 
 
 def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:

@@ -20,7 +20,8 @@ from ..geometry import pixel_grid, rays, se3
 from ..render import footprints, render
 from ..tsdf import TsdfVolume, integrate
 from ..types import Camera, Frame, Seeds
-from .apply import apply_rule, check_memory, context_tensors, copy_memory, equal_memories
+from .apply import ChangedInputError, apply_rule, check_memory, context_tensors, copy_memory, equal_memories
+from .code_key import code_key, loaded_values
 from .context import SeedContext
 from .points import add_up
 from .rule import (
@@ -31,11 +32,13 @@ from .rule import (
     check_needs,
     get_rule,
     is_map_rule,
+    option_paths,
+    option_values,
     rule_choices,
     rule_name,
     rule_options,
 )
-from .rule_code import rule_fingerprint
+from .rule_guard import UndeclaredError, only_declared
 
 _TSDF = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 _SPHERE = ((0.1, 0.05, 1.3), 0.3)
@@ -90,7 +93,8 @@ def _real_map(frame: Frame, config: SeedingConfig) -> SeedContext:
 class Walk:
     """A camera that moves sideways through the scene, and maps that grow as in a mapper, without optimisation.
 
-    So that the Gaussians are not all round and equal, their sizes, directions and opacities are disturbed a little.
+    So that the Gaussians are not all round and equal, their sizes, directions and opacities are disturbed. Some are
+    large, nearly transparent, or both, so that a rule's edits of these meet.
     """
 
     n_frames = 3
@@ -117,6 +121,8 @@ class Walk:
         params, n, g = self._gaussians.params, len(self._gaussians) - before, torch.Generator().manual_seed(before)
         for column, size in ((params.log_scale, 0.3), (params.quat, 0.2), (params.opacity_logit, 1.0)):
             column[before:] += size * torch.randn(n, *column.shape[1:], generator=g)
+        params.log_scale[before::5] += 2.5  # some large ones, and some nearly transparent ones, of which some are both
+        params.opacity_logit[before::3] = -6.0
         self._gaussians.clock.advance(self._gaussians.step_count + 5)
 
 
@@ -178,6 +184,7 @@ def check_rule(
     contexts: dict[str, SeedContext] | None = None,
     *,
     extra: Callable[[Frame], Mapping[str, Any]] | None = None,
+    options: Mapping[str, Option] | None = None,
 ) -> RuleCheck:
     """Check the contract of a seeding rule: valid seeds, in front of the camera, none without depth, repeatable, and no
     change to the frame or the map.
@@ -189,6 +196,7 @@ def check_rule(
         rule: Name, function or class; it need not be registered.
         contexts: Scenes by name, in place of the built-in ones and of the walk.
         extra: Gives each frame the further images that the rule reads, as for ``open_sequence``.
+        options: Values of the rule's options, in place of its defaults.
 
     Returns:
         A report, printed as text.
@@ -198,21 +206,14 @@ def check_rule(
         TypeError, ValueError: wrong signature, or invalid seeds.
     """
     function, name = get_rule(rule), rule_name(rule)
+    tested = _Tested(function, dict(options or {}))
     scenes = check_contexts() if contexts is None else contexts
-    counts, kept = {}, rule_fingerprint(function)
-    for scene, given in scenes.items():
-        ctx = _with_extra(given, extra)
-        where = f"seeding rule {name!r}, scene {scene!r}"
-        first = _run_unchanged(function, ctx, where)
-        _check_randomness(function, ctx, first, where)
-        _check_in_front(first, ctx.frame, where)
-        _check_missing_depth(function, ctx, where)
-        _check_every_option(function, ctx, first, where)
-        _check_nothing_kept(function, kept, where)
-        counts[scene] = len(first)
+    try:
+        with only_declared(name, [*option_paths(function, tested.options).values(), *code_key(function).files]):
+            counts = _counts(tested, scenes, extra, with_walk=contexts is None)
+    except UndeclaredError as e:
+        raise AssertionError(str(e)) from None
     edits = contexts is None and is_map_rule(function) and function.after_step is not MapRule.after_step
-    if contexts is None:
-        counts["walk"] = _check_walk(function, kept, extra, f"seeding rule {name!r}, scene 'walk'")
     passed = (
         "columns of the right shape, finite, scale > 0, opacity in (0, 1), colour in 0..1",
         "changes neither the frame nor the map",
@@ -224,6 +225,48 @@ def check_rule(
         *(["after_step: possible edits, the same twice, no change of its inputs"] if edits else []),
     )
     return RuleCheck(name, passed, counts)
+
+
+@dataclass(frozen=True)
+class _Tested:
+    """A rule with options."""
+
+    rule: SeedingRule
+    options: dict[str, Option]
+
+    def seeds(self, ctx: SeedContext, changed: Mapping[str, Option] | None = None) -> Seeds:
+        return apply_rule(self.rule, ctx, {**self.options, **(changed or {})})
+
+    def made(self) -> MapRule:
+        """An instance of a class."""
+        values: Any = option_values(self.rule, self.options)
+        assert is_map_rule(self.rule)
+        return self.rule(**values)
+
+
+def _counts(
+    tested: _Tested,
+    scenes: Mapping[str, SeedContext],
+    extra: Callable[[Frame], Mapping[str, Any]] | None,
+    *,
+    with_walk: bool,
+) -> dict[str, int]:
+    """Check a rule in each scene. Returns the number of its seeds there."""
+    counts = {}
+    name, kept = rule_name(tested.rule), loaded_values(tested.rule)
+    for scene, given in scenes.items():
+        ctx = _with_extra(given, extra)
+        where = f"seeding rule {name!r}, scene {scene!r}"
+        first = _run_unchanged(tested, ctx, where)
+        _check_randomness(tested, ctx, first, where)
+        _check_in_front(first, ctx.frame, where)
+        _check_missing_depth(tested, ctx, where)
+        _check_every_option(tested, ctx, first, where)
+        _check_nothing_kept(tested.rule, kept, where)
+        counts[scene] = len(first)
+    if with_walk:
+        counts["walk"] = _check_walk(tested, kept, extra, f"seeding rule {name!r}, scene 'walk'")
+    return counts
 
 
 def _with_extra(ctx: SeedContext, extra: Callable[[Frame], Mapping[str, Any]] | None) -> SeedContext:
@@ -238,39 +281,42 @@ def _fresh(ctx: SeedContext, seed: int = 0, **changes: Any) -> SeedContext:
     return dataclasses.replace(ctx, generator=generator, memory=copy_memory(ctx.memory), **changes)
 
 
-def _run_unchanged(rule: SeedingRule, ctx: SeedContext, where: str) -> Seeds:
+def _run_unchanged(tested: "_Tested", ctx: SeedContext, where: str) -> Seeds:
     """Run once; frame and maps must be bit for bit the same afterwards."""
     fresh = _fresh(ctx)
     _ = fresh.frame.rgb
     with _unchanged(fresh, where):
-        return apply_rule(rule, fresh)
+        return tested.seeds(fresh)
 
 
 @contextmanager
 def _unchanged(ctx: SeedContext, where: str) -> Iterator[None]:
     """Raise ``AssertionError`` at the end of the block if anything that a rule can read was changed in place."""
     watched = [(name, tensor, tensor.clone()) for name, tensor in context_tensors(ctx)]
-    yield
+    try:
+        yield
+    except ChangedInputError as e:
+        raise AssertionError(f"{where}: it changed {e.what} in place; work on a copy (x.clone())") from None
     for name, tensor, before in watched:
         if not torch.equal(tensor, before):
             raise AssertionError(f"{where}: it changed {name} in place; work on a copy (x.clone())")
 
 
-def _check_walk(rule: SeedingRule, kept: str, extra: Any, where: str) -> int:
+def _check_walk(tested: "_Tested", kept: str, extra: Any, where: str) -> int:
     """Several frames in which a map grows from the rule's own seeds. Returns the number of seeds."""
-    total, memory = 0, {}
+    total, memory, rule = 0, {}, tested.rule
     walk = Walk()
     for number in range(walk.n_frames):
         here, ctx = f"{where}, frame {number}", _with_extra(walk.context(number, memory), extra)
-        first = _run_unchanged(rule, ctx, here)
-        after = _check_randomness(rule, ctx, first, here)
+        first = _run_unchanged(tested, ctx, here)
+        after = _check_randomness(tested, ctx, first, here)
         _check_in_front(first, ctx.frame, here)
         _check_nothing_kept(rule, kept, here)
         walk.grow(first)
         if is_map_rule(rule) and rule.after_step is not MapRule.after_step:
             ctx = dataclasses.replace(ctx, memory=after)
             for step, stage in _STEPS:
-                after = _check_after_step(rule(), ctx, step, stage, f"{here}, after step {step} ({stage})")
+                after = _check_after_step(tested.made(), ctx, step, stage, f"{here}, after step {step} ({stage})")
                 ctx = dataclasses.replace(ctx, memory=after)
             _check_nothing_kept(rule, kept, here)
         total, memory = total + len(first), after
@@ -343,21 +389,21 @@ def _as_memory(edit: Edit | None) -> dict[str, Any] | None:
 
 def _check_nothing_kept(rule: SeedingRule, before: str, where: str) -> None:
     """The rule stores nothing new after all these runs, except in the memory of a context."""
-    if rule_fingerprint(rule) != before:
+    if loaded_values(rule) != before:
         raise AssertionError(
             f"{where}: it keeps something from one frame to the next (a global, a variable around it, an attribute); "
             "its seeds may depend on the context only: keep it in ctx.memory"
         )
 
 
-def _check_randomness(rule: SeedingRule, ctx: SeedContext, first: Seeds, where: str) -> dict[str, Any]:
+def _check_randomness(tested: "_Tested", ctx: SeedContext, first: Seeds, where: str) -> dict[str, Any]:
     """Runs on equal inputs give equal seeds, and leave equal memories. Returns the memory afterwards."""
     memories = []
     for seed in (1, 2):
         fresh = _fresh(ctx)
         with _other_generators(seed):
             state = torch.get_rng_state()
-            again = apply_rule(rule, fresh)
+            again = tested.seeds(fresh)
             drawn = not torch.equal(torch.get_rng_state(), state)
         if drawn:
             raise AssertionError(
@@ -387,22 +433,22 @@ def _check_in_front(seeds: Seeds, frame: Frame, where: str) -> None:
         )
 
 
-def _check_missing_depth(rule: SeedingRule, ctx: SeedContext, where: str) -> None:
+def _check_missing_depth(tested: "_Tested", ctx: SeedContext, where: str) -> None:
     blind = dataclasses.replace(ctx.frame, depth_m=torch.zeros_like(ctx.frame.depth_m))
-    found = len(apply_rule(rule, _fresh(ctx, frame=blind)))
+    found = len(tested.seeds(_fresh(ctx, frame=blind)))
     if found:
         raise AssertionError(f"{where}: the frame has no depth, yet it gave {found} seeds; there is no surface to seed")
 
 
-def _check_every_option(rule: SeedingRule, ctx: SeedContext, first: Seeds, where: str) -> None:
+def _check_every_option(tested: "_Tested", ctx: SeedContext, first: Seeds, where: str) -> None:
     """Passing the defaults by name changes nothing; every switch and every choice works."""
-    defaults = rule_options(rule)
-    if not equal_memories(vars(first), vars(apply_rule(rule, _fresh(ctx), defaults))):
+    defaults = rule_options(tested.rule) | tested.options
+    if not equal_memories(vars(first), vars(tested.seeds(_fresh(ctx), defaults))):
         raise AssertionError(
             f"{where}: passing its own defaults {defaults} by name gave other seeds than leaving them out"
         )
-    for options in _switched(defaults, rule_choices(rule)):
-        seeds = apply_rule(rule, _fresh(ctx), options)
+    for options in _switched(defaults, rule_choices(tested.rule)):
+        seeds = tested.seeds(_fresh(ctx), options)
         _check_in_front(seeds, ctx.frame, f"{where}, with {options}")
 
 

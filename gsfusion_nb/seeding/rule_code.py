@@ -1,41 +1,45 @@
-"""Source code of a seeding rule: rules from files, and hashes of their code, its values, and the files they read."""
+"""Seeding rules from files, their source, and the files that they read."""
 
 import ast
-import contextlib
-import dataclasses
-import dis
-import functools
 import hashlib
-import importlib
-import importlib.util
 import inspect
 import linecache
 import os
 import sys
-import sysconfig
 import textwrap
 import traceback
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-import torch
-
 from ..checks import shown
 from ..files import UNREADABLE, file_hashes, read_text
+from .beside import Beside, sources_digest
+from .code_values import BESIDE, RULE_SOURCE, is_library_code
 from .rule import SeedingRule, get_rule, keep_registered, option_paths, registered, rule_name
+from .rule_guard import noted, refuse
 
 _OWN = __name__.partition(".")[0]
-_PLAIN = (type(None), bool, int, float, complex, str, bytes)
-_INSTALLED = {Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
-_PACKAGES = {"site-packages", "dist-packages"}
 
 
-def is_built_in(rule: SeedingRule) -> bool:
-    """The rule is one of this package's, so its name and the package's version say what it does."""
-    return (getattr(rule, "__module__", "") or "").startswith(f"{_OWN}.")
+def is_built_in(rule: Any) -> bool:
+    """The rule is one of this package's, so its name and the package's version say what it does.
+
+    Where somebody's function is around it, or is a method of its class, it is not.
+    """
+    if not (getattr(rule, "__module__", "") or "").startswith(f"{_OWN}."):
+        return False
+    if isinstance(rule, type):
+        return all(
+            is_library_code(member) for kind in rule.__mro__ for member in vars(kind).values()
+            if isinstance(member, types.FunctionType)
+        )  # fmt: skip
+    while isinstance(rule, types.FunctionType) and is_library_code(rule):
+        if not hasattr(rule, "__wrapped__"):
+            return True
+        rule = rule.__wrapped__
+    return False
 
 
 def rule_source(rule: SeedingRule) -> str:
@@ -58,23 +62,6 @@ def _source_of_cell(cls: type) -> str:
                 if first <= code.co_firstlineno <= node.end_lineno:
                     return textwrap.dedent("".join(lines[first - 1 : node.end_lineno]))
     return ""
-
-
-def rule_fingerprint(rule: Any) -> str:
-    """A hash of the code of a rule, or of another function, and of the values and functions that the code names.
-
-    It changes when the rule is edited, and when the rule stores something from one call to the next: defaults,
-    closure and attributes are hashed, too, and of a class the base classes. Helper modules that are not installed
-    packages are followed in the same way, as they are loaded here; of installed packages only names are hashed.
-    """
-    return read_code(rule).hash.hexdigest()
-
-
-def read_code(rule: Any) -> "Code":
-    """What ``rule_fingerprint`` reads of a rule."""
-    code = Code()
-    code.add(rule)
-    return code
 
 
 def rule_files(rule: SeedingRule, options: Mapping[str, Any]) -> dict[str, str]:
@@ -111,139 +98,6 @@ def path_hash(path: Path) -> str:
     return digest.hexdigest()
 
 
-def is_installed(file: str | Path) -> bool:
-    """Whether a file belongs to Python or to an installed package, rather than to somebody's own code."""
-    path = Path(file)
-    return bool(_PACKAGES.intersection(path.parts)) or any(path.is_relative_to(folder) for folder in _INSTALLED)
-
-
-@functools.lru_cache(maxsize=4096)
-def _is_foreign(module: str) -> bool:
-    """Whether a module is this package's, Python's or an installed one; of these only names are hashed."""
-    if module == "__main__":  # a notebook, or a script
-        return False
-    if module.partition(".")[0] in (_OWN, *sys.stdlib_module_names) or not module:
-        return True
-    found = sys.modules.get(module)
-    file = getattr(found, "__file__", None)
-    if found is None:
-        try:
-            spec = importlib.util.find_spec(module.partition(".")[0])
-        except (ImportError, ValueError):
-            return True
-        if spec is None:  # made by ``exec``, as a notebook's cells are
-            return False
-        file = spec.origin or next(iter(spec.submodule_search_locations or ()), None)
-    return file is not None and is_installed(file)
-
-
-class Code:
-    """Puts values into a hash, each with its type, each object once."""
-
-    def __init__(self):
-        self.hash = hashlib.blake2b(digest_size=16)
-        self.caches: list[Any] = []
-        """Functions with ``functools.cache`` or ``lru_cache``, such as one that reads a network."""
-        self._seen: dict[int, Any] = {}
-
-    def add(self, x: Any) -> None:
-        """Any value; of an unknown kind of value only its type."""
-        self._text(type(x).__qualname__)
-        if isinstance(x, (*_PLAIN, Path)):
-            self._text(repr(x))
-            return
-        if id(x) in self._seen:
-            return
-        self._seen[id(x)] = x  # kept, so that its id is not given to another
-        if hasattr(x, "cache_clear"):
-            self.caches.append(x)
-        if isinstance(x, types.MethodType):
-            self.add(x.__self__)
-        x = getattr(x, "__func__", getattr(x, "__wrapped__", x))  # methods, decorated and cached functions
-        if isinstance(x, torch.Tensor | np.ndarray):
-            self._text(f"{x.dtype} {tuple(x.shape)}")
-            if isinstance(x, torch.Tensor):
-                x = x.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy()
-            self.hash.update(np.ascontiguousarray(x).tobytes())
-        elif isinstance(x, Mapping):
-            for key in sorted(x, key=repr):
-                self.add(key)
-                self.add(x[key])
-        elif isinstance(x, list | tuple):
-            for item in x:
-                self.add(item)
-        elif isinstance(x, set | frozenset):
-            self._text(repr(sorted(map(repr, x))))
-        elif isinstance(x, types.FunctionType):
-            self._function(x)
-        elif isinstance(x, type):
-            self._text(f"{x.__module__}.{x.__qualname__}")
-            if not _is_foreign(x.__module__):
-                self.add(x.__bases__)
-                for name, member in sorted(vars(x).items()):
-                    if not name.startswith("__") or name in ("__call__", "__init__", "__post_init__"):
-                        self.add(member)
-        elif isinstance(x, property):
-            self.add((x.fget, x.fset))
-        elif isinstance(x, functools.partial):
-            self.add((x.func, x.args, x.keywords))
-        elif isinstance(x, torch.nn.Module):
-            self.add(([type(part) for part in x.modules()], str(x), dict(x.state_dict())))
-        elif dataclasses.is_dataclass(x) or (not _is_foreign(type(x).__module__) and hasattr(x, "__dict__")):
-            self.add(type(x))
-            self.add(vars(x))
-
-    def _function(self, f: types.FunctionType) -> None:
-        self._text(f"{f.__module__}.{f.__qualname__}")
-        if _is_foreign(f.__module__ or ""):
-            return
-        self._code(f.__code__)
-        self.add((f.__defaults__, f.__kwdefaults__, vars(f)))
-        for cell in f.__closure__ or ():
-            with contextlib.suppress(ValueError):  # not assigned yet
-                self.add(cell.cell_contents)
-        parts = list(_parts(f.__code__))
-        attributes = {name for part in parts for name in part.co_names}
-        for name in sorted(attributes):
-            self._text(name)
-            self._global(f.__globals__.get(name), attributes)
-        inside = {i.argval for part in parts for i in dis.get_instructions(part) if i.opname == "IMPORT_NAME"}
-        for name in sorted(inside):
-            if not _is_foreign(name):
-                with contextlib.suppress(ImportError):  # the rule will notice
-                    self._global(importlib.import_module(name), attributes)
-
-    def _global(self, x: Any, attributes: set[str]) -> None:
-        """A value that code names; of a helper module, what the code can reach of it by these names."""
-        if not isinstance(x, types.ModuleType):
-            self.add(x)
-        elif not _is_foreign(x.__name__) and id(x) not in self._seen:
-            self._seen[id(x)] = x
-            for name in sorted(attributes & vars(x).keys()):
-                self._text(name)
-                self._global(getattr(x, name), attributes)
-
-    def _code(self, code: types.CodeType) -> None:
-        self.hash.update(code.co_code)
-        self._text(repr((code.co_names, code.co_varnames, code.co_freevars)))
-        for constant in code.co_consts:
-            if isinstance(constant, types.CodeType):
-                self._code(constant)
-            else:
-                self.add(constant)
-
-    def _text(self, text: str) -> None:
-        self.hash.update(text.encode() + b"\0")
-
-
-def _parts(code: types.CodeType) -> Iterator[types.CodeType]:
-    """The code of a function and of the functions inside it."""
-    yield code
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _parts(constant)
-
-
 MOST_BYTES = 1_000_000
 
 
@@ -268,30 +122,37 @@ def read_rule_file(text: str) -> tuple[str, str]:
 
 
 def load_rule_file(text: str) -> SeedingRule:
-    """The rule that "FILE.py:name" names.
+    """The rule that "FILE.py:name" names. It may import the modules beside the file, as a script may.
 
     Raises:
         ValueError: the file cannot be loaded, or has no such rule. FileNotFoundError: no such file.
     """
     source, name = read_rule_file(text)
-    return rule_of_source(source, name, text.rpartition(":")[0])
+    return rule_of_source(source, name, text.rpartition(":")[0], rule_folder(text))
 
 
-def rule_of_source(source: str, name: str, file: str = "rule.py") -> SeedingRule:
+def rule_folder(text: str) -> Path:
+    """The folder of the file that "FILE.py:name" names."""
+    return Path(text.rpartition(":")[0]).expanduser().resolve().parent
+
+
+def rule_of_source(source: str, name: str, file: str = "rule.py", folder: Path | None = None) -> SeedingRule:
     """The rule ``name`` of a file's source. The rules that it registers are not registered outside of it.
 
     Args:
-        source: The whole file. It may import installed packages and modules on Python's path.
+        source: The whole file. It may import installed packages, modules on Python's path, and those in ``folder``.
         name: The function or class.
-        file: Name of the file for messages.
+        file: Name of the file, for messages and for ``__file__``.
+        folder: Where the modules beside the file are; None: there are none.
 
     Raises:
         ValueError: the source cannot be loaded, or has no such rule. TypeError: its signature is not that of a rule.
     """
-    digest = hashlib.blake2b(source.encode(), digest_size=8).hexdigest()
-    module = sys.modules.get(f"rule_file_{digest}")
+    beside = Beside(folder)
+    module_name = f"rule_file_{sources_digest(source.encode(), beside)}"
+    module = sys.modules.get(module_name)
     if module is None:
-        module = _load(source, f"rule_file_{digest}", file)
+        module = _load(source, module_name, file, beside)
     rule: Any = getattr(module, name, None)
     if rule is None or not callable(rule):
         known = ", ".join(module.__dict__["__rules__"]) or "none"
@@ -310,27 +171,60 @@ def find_rule(rule: str | SeedingRule) -> SeedingRule:
 
 def file_source(rule: SeedingRule) -> str:
     """Source of the whole file that a rule was loaded from; empty for a rule that was not loaded from a file."""
-    module = sys.modules.get(getattr(rule, "__module__", "") or "")
-    return getattr(module, "__rule_source__", "")
+    return getattr(_module_of(rule), RULE_SOURCE, "")
 
 
-def _load(source: str, name: str, file: str) -> types.ModuleType:
+def beside_sources(rule: SeedingRule) -> dict[str, bytes]:
+    """Path, relative to the folder of the rule's file, -> content of the modules that it imports from there."""
+    module = _module_of(rule)
+    beside: Beside | None = getattr(module, BESIDE, None)
+    if beside is None or beside.folder is None:
+        return {}
+    return beside.files_of(file_source(rule).encode())
+
+
+def refuse_undeclared(rule: SeedingRule, files: Iterable[Path]) -> None:
+    """Raise ``UndeclaredError`` if the file of a rule read something undeclared when it was loaded.
+
+    Args:
+        rule: The rule.
+        files: The files of the modules that are part of its key.
+    """
+    module = _module_of(rule)
+    imported = getattr(module, _IMPORTED, frozenset())
+    refuse(rule_name(rule), getattr(module, _READ, ""), imported - set(files))
+
+
+_READ, _IMPORTED = "__undeclared__", "__imported_files__"
+"""Names in the module of a rule's file: what it read while it was loaded, and the files that it imported."""
+
+
+def _module_of(rule: SeedingRule) -> types.ModuleType | None:
+    return sys.modules.get(getattr(rule, "__module__", "") or "")
+
+
+def _load(source: str, name: str, file: str, beside: Beside) -> types.ModuleType:
     module = types.ModuleType(name)
-    module.__file__ = file_name = f"<{Path(file).name} {name[-16:]}>"
-    module.__dict__["__rule_source__"] = source
+    path = Path(file).expanduser()
+    shown_name = f"<{path.name} {name[-16:]}>"
+    module.__file__ = str(path.resolve()) if path.is_file() else shown_name
+    vars(module)[RULE_SOURCE] = source
+    beside.prepare(module, source.encode())
     lines = source.splitlines(keepends=True)
-    linecache.cache[file_name] = (len(source), None, lines, file_name)  # for its source in reports
+    linecache.cache[shown_name] = (len(source), None, lines, shown_name)  # for its source in reports
     sys.modules[name] = module  # dataclasses look there
     try:
-        with keep_registered() as before:
-            exec(compile(source, file_name, "exec"), module.__dict__)
+        with keep_registered() as before, noted(Path(file).name) as watch:
+            exec(compile(source, shown_name, "exec", dont_inherit=True), module.__dict__)
             own = [rule_name(rule) for key, rule in registered().items() if before.get(key) is not rule]
     except Exception as e:
         del sys.modules[name]
-        at = [frame.lineno for frame in traceback.extract_tb(e.__traceback__) if frame.filename == file_name]
+        at = [frame.lineno for frame in traceback.extract_tb(e.__traceback__) if frame.filename == shown_name]
         line = e.lineno if isinstance(e, SyntaxError) else (at[-1] if at else None)
         where = file if line is None else f"{file}, line {line}"
         raise ValueError(f"{where}: {type(e).__name__}: {getattr(e, 'msg', e)}") from None
+    vars(module)[_READ] = watch.offence
+    vars(module)[_IMPORTED] = frozenset(watch.imported)
     functions = [k for k, v in vars(module).items() if isinstance(v, types.FunctionType) and v.__module__ == name]
     module.__dict__["__rules__"] = list(dict.fromkeys([*own, *(f for f in functions if not f.startswith("_"))]))
     return module

@@ -2,7 +2,8 @@
 
 import pytest
 
-from gsfusion_nb.compare import RunSpec
+from gsfusion_nb.compare import RunSpec, run_all
+from gsfusion_nb.compare.admission import Admission
 
 SETTINGS = {
     "data.hold_out_every": 4, "data.hold_out_offset": 2, "tsdf.voxel_size_m": 0.08, "sh_degree": 0,
@@ -21,3 +22,15 @@ def spec(scene):
         )
 
     return make
+
+
+@pytest.fixture(autouse=True)
+def _entrants_are_trusted(request, monkeypatch):
+    """The check of an entrant in a fresh process takes seconds: only tests that are about it make it."""
+    if "fresh_checks" not in request.fixturenames:
+        monkeypatch.setattr(run_all, "admission", lambda entry, folder: Admission())
+
+
+@pytest.fixture
+def fresh_checks():
+    """Entrants are checked in a fresh process, as in every comparison."""

@@ -119,8 +119,8 @@ def test_all_combinations():
     assert places[:4] == [("room", "uniform", 0), ("room", "uniform", 1), ("room", "mine", 0), ("room", "mine", 1)]
     assert len(places) == 8
     assert entries[2].rule is own
-    assert entries[2].spec.rule_hash
-    assert not entries[0].spec.rule_hash
+    assert entries[2].spec.code
+    assert not entries[0].spec.code
     assert entries[0].spec.settings == {"sh_degree": 0}
     with pytest.raises(ValueError, match="uniform"):
         entries_of(["uniform", "uniform"])

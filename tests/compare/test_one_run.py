@@ -17,7 +17,7 @@ from gsfusion_nb.compare.schedule import EQUAL_KEYFRAME_EVERY
 from gsfusion_nb.compare.spec import MEASURED
 from gsfusion_nb.evaluation import score_view
 from gsfusion_nb.runs import scored_views
-from gsfusion_nb.seeding import MapRule, rule_fingerprint
+from gsfusion_nb.seeding import MapRule
 
 TWO_RULES = """
 from gsfusion_nb.seeding import seeding_rule
@@ -52,7 +52,7 @@ def same_numbers(a, b):
 
 def test_every_rule_takes_the_same_steps(spec):
     frugal, rich = (run_spec(spec("uniform", options={"fraction": f})) for f in (0.01, 0.9))
-    classy = run_entry(Entry(spec=spec("brings_settings", rule_hash="x"), rule=brings_settings))
+    classy = run_entry(Entry(spec=spec("brings_settings"), rule=brings_settings))
     own = [run_spec(spec("uniform", options={"fraction": f}, budget=Budget(steps="own"))) for f in (0.01, 0.9)]
     assert [r.reason for r in (frugal, rich, classy, *own)] == [""] * 5
     assert frugal.metrics["n_steps"] == rich.metrics["n_steps"] == classy.metrics["n_steps"]
@@ -65,7 +65,7 @@ def test_every_rule_takes_the_same_steps(spec):
 
 
 def test_a_rule_without_seeds_has_fewer_steps_and_says_so(spec):
-    result = run_entry(Entry(spec=spec("nothing", rule_hash="x"), rule=nothing))
+    result = run_entry(Entry(spec=spec("nothing"), rule=nothing))
     assert (result.status, result.metrics["n_steps"], result.metrics["n_gaussians"]) == ("done", 2, 0)
     assert result.notes == ["after 5 of 5 frames the map was empty, so no gradient steps were taken"]
 
@@ -164,7 +164,14 @@ def test_a_run_that_fails_is_a_row_with_its_reason(spec, changes, reason):
 
 
 def test_a_rule_that_raises_fails_its_run(spec):
-    result = run_entry(Entry(spec=spec("faulty", rule_hash=rule_fingerprint(faulty)), rule=faulty))
+    result = run_entry(
+        Entry(
+            spec=spec(
+                "faulty",
+            ),
+            rule=faulty,
+        )
+    )
     assert (result.status, result.reason) == ("failed", "IndexError: 7 is out of range")
 
 

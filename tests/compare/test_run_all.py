@@ -8,8 +8,7 @@ from typing import Any
 import cv2
 import pytest
 
-from gsfusion_nb.compare import Budget, RunResult, executors
-from gsfusion_nb.compare import spec as spec_module
+from gsfusion_nb.compare import Budget, RunResult, executors, program
 from gsfusion_nb.compare.command import WhereOptions, run_and_write
 from gsfusion_nb.compare.executors import InProcess, Task, do_task, executor, threads_of_each
 from gsfusion_nb.compare.map_scene import Entry
@@ -118,9 +117,9 @@ def test_data_or_programs_that_differ_where_a_run_is_done_fail_it(spec, scene, t
 
 
 def test_the_key_has_the_versions_of_the_libraries(monkeypatch):
-    before = spec_module.run_key()
-    monkeypatch.setattr(spec_module, "libraries", lambda: {"torch": "0.1"})
-    assert spec_module.run_key() != before
+    before = program.run_key()
+    monkeypatch.setattr(program, "libraries", lambda: {"torch": "0.1"})
+    assert program.run_key() != before
 
 
 def test_two_commands_in_one_folder_and_two_on_one_cache(spec, tmp_path, monkeypatch):

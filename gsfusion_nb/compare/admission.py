@@ -1,0 +1,140 @@
+"""Which entrants may take part: each rule that is not of this package is checked in a fresh process, once."""
+
+import contextlib
+import hashlib
+import json
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cloudpickle
+
+from ..files import read_object, write_file
+from ..seeding import SeedingRule, is_built_in, rule_name
+from ..seeding.code_key import differing, where_module
+from ..seeding.code_values import is_library_module
+from .fresh_check import CheckJob
+from .map_scene import Entry, original
+from .program import run_key
+from .spec import ONLY_NOW
+
+AT_MOST_S = 300.0
+"""How long the check of a rule may take, seconds; usually it takes 3 to 6."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Admission:
+    """What the check of an entrant found."""
+
+    refused: str = ""
+    """Why it cannot take part; empty if it can."""
+    not_kept: str = ""
+    """Why its results cannot be kept for later; empty if they can."""
+
+
+def admission(entry: Entry, folder: Path) -> Admission:
+    """Check the rule of a run with its options, in a fresh process; what was found is kept in ``folder``.
+
+    Args:
+        entry: The run, with the code of its rule in its spec.
+        folder: Where the findings are.
+    """
+    rule = original(entry.found_rule())
+    if is_built_in(rule):
+        return Admission()
+    spec = entry.spec
+    path = folder / f"{_check_key(entry)}.json"
+    with contextlib.suppress(ValueError):
+        if path.is_file() and not spec.not_kept:
+            found = read_object(path, "the check of a seeding rule")
+            return Admission(refused=found["refused"], not_kept=found["not_kept"])
+    found = _run(entry, rule)
+    here, there = dict(spec.code or {}), found["code"]
+    changed = differing(*({"values": parts.get("values", "")} for parts in (here, there)))
+    not_kept = ""
+    if not found["refused"] and not spec.not_kept and changed:
+        not_kept = f"{rule_name(rule)} is not the same in every process: its {changed} differ"
+    result = Admission(refused=found["refused"], not_kept=not_kept)
+    if not spec.not_kept and not found.get("lost"):
+        write_file(path, json.dumps(vars(result)))
+    return result
+
+
+def _check_key(entry: Entry) -> str:
+    spec = entry.spec
+    code = {name: digest for name, digest in (spec.code or {}).items() if name != ONLY_NOW}
+    options = {name: str(value) for name, value in spec.options.items()}
+    return run_key(check=spec.rule_name, code=code, options=options, extra=hashlib.sha256(_extra(entry)).hexdigest())
+
+
+def _run(entry: Entry, rule: SeedingRule) -> dict[str, Any]:
+    """What ``fresh_check`` writes about a rule."""
+    with tempfile.TemporaryDirectory(prefix="gsfusion-check-") as place:
+        job, spec = Path(place) / "job", entry.spec
+        try:
+            job.write_bytes(_job(entry, rule))
+        except Exception as e:  # whatever an object's own method raises
+            return _refusal(f"the rule {spec.rule_name} cannot be sent to another process to be checked: {e}")
+        command = [sys.executable, "-m", f"{__package__}.fresh_check", str(job)]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONHASHSEED": "1"}
+        try:
+            done = subprocess.run(
+                command, env=environment, capture_output=True, text=True, timeout=AT_MOST_S, check=False,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return _refusal(f"the check of the rule {spec.rule_name} did not end within {AT_MOST_S:.0f} s")
+        answer = job.with_suffix(".json")
+        if not answer.is_file():
+            last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
+            return _refusal(f"the process that checks the rule {spec.rule_name} ended early: {last[0]}")
+        return read_object(answer, "the check of a seeding rule")
+
+
+def _refusal(why: str) -> dict[str, Any]:
+    return {"refused": why, "code": {}, "lost": True}
+
+
+def _job(entry: Entry, rule: SeedingRule) -> bytes:
+    spec = entry.spec
+    fields: dict[str, Any] = {"name": rule_name(rule), "options": dict(spec.options), "extra": _extra(entry)}
+    if entry.rule is None and spec.rule_source:
+        file, _, name = spec.rule.rpartition(":")
+        place = str(Path(spec.rule_folder) / Path(file).name) if spec.rule_folder else file
+        fields |= {"name": name, "source": spec.rule_source, "file": place, "folder": spec.rule_folder}
+    else:
+        fields["pickled"] = _pickled(rule)
+    return pickle.dumps(CheckJob(**fields))
+
+
+def _extra(entry: Entry) -> bytes:
+    extra = entry.sequence.mapping.extra if entry.sequence is not None else None
+    return b"" if extra is None else _pickled(extra)
+
+
+def _pickled(thing: Any) -> bytes:
+    with _by_value(sys.modules.get(thing.__module__)):
+        return cloudpickle.dumps(thing)
+
+
+@contextlib.contextmanager
+def _by_value(module: types.ModuleType | None) -> Iterator[None]:
+    """Context in which what is in a module that another process cannot import is pickled by its content."""
+    if module is None or module.__name__ == "__main__" or is_library_module(module):
+        yield
+        return
+    spec = where_module(module.__name__, None)
+    if spec is not None and spec.origin == getattr(module, "__file__", None):
+        yield
+        return
+    cloudpickle.register_pickle_by_value(module)
+    try:
+        yield
+    finally:
+        cloudpickle.unregister_pickle_by_value(module)

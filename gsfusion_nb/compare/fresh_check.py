@@ -1,0 +1,168 @@
+"""The check of an entrant in a process of its own: ``python -m gsfusion_nb.compare.fresh_check JOB``.
+
+Nothing that the caller has loaded or changed is there. Where the system can (Landlock, Linux 5.13), compiled code can
+read only the files that the rule declares, too.
+"""
+
+import ctypes
+import json
+import os
+import pickle
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..files import cache_folder
+from ..seeding import check_rule, code_key
+from ..seeding.code_values import is_library
+from ..seeding.patches import changes_since, library_state, switches
+from ..seeding.rule import option_paths
+from ..seeding.rule_code import refuse_undeclared, rule_of_source
+from ..seeding.rule_guard import SYSTEM_FOLDERS, only_declared
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckJob:
+    """What is checked."""
+
+    name: str
+    source: str = ""
+    """Of the rule's file; empty if ``pickled`` has the rule."""
+    file: str = ""
+    folder: str = ""
+    pickled: bytes = b""
+    options: Mapping[str, Any]
+    extra: bytes = b""
+    """The pickled function that gives further images of each frame; empty: there are none."""
+
+
+def main(job_file: str) -> int:
+    """Do the job in a file, and write what was found to the file beside it (.json): "refused", why, or empty; and
+    "code", the parts of the rule's key."""
+    found: dict[str, Any] = {"refused": "", "code": {}}
+    path = Path(job_file)
+    try:
+        job: CheckJob = pickle.loads(path.read_bytes())
+        found["code"] = _checked(job)
+    except Exception as e:  # a rule may raise anything
+        words = f"{e}" if isinstance(e, (AssertionError, ValueError)) and str(e) else f"{type(e).__name__}: {e}"
+        found["refused"] = words
+    path.with_suffix(".json").write_text(json.dumps(found), encoding="utf-8")
+    return 0
+
+
+def _checked(job: CheckJob) -> dict[str, str]:
+    """Check a rule. Returns the parts of its key.
+
+    Raises:
+        Exception: what the rule or ``check_rule`` raises; ValueError for what only a fresh process shows.
+    """
+    check_rule("uniform")  # so that what libraries load when they are first used is there
+    libraries = library_state()
+    before = switches()
+    rule = _loaded(job)
+    extra = pickle.loads(job.extra) if job.extra else None
+    key = code_key(rule)
+    refuse_undeclared(rule, key.files)
+    paths = [*option_paths(rule, job.options).values(), *key.files]
+    confine([*SYSTEM_FOLDERS, *filter(None, sys.path), cache_folder(), *paths])
+    with _clock_is_watched(job.name), only_declared(job.name, paths):
+        check_rule(rule, options=job.options, extra=extra)
+    if changes := changes_since(libraries):
+        raise ValueError(
+            f"the seeding rule {job.name!r} changes {', '.join(changes[:3])} for everybody; a rule may not change "
+            "what it imports: write a function of its own"
+        )
+    after = switches()
+    if switched := [name for name in before if before[name] != after[name]]:
+        raise ValueError(f"the seeding rule {job.name!r} changes a setting of the whole process: {', '.join(switched)}")
+    return dict(key.parts)
+
+
+def _loaded(job: CheckJob) -> Any:
+    if job.pickled:
+        return pickle.loads(job.pickled)
+    return rule_of_source(job.source, job.name, job.file, Path(job.folder) if job.folder else None)
+
+
+class _clock_is_watched:
+    """Context that raises ``ValueError`` at its end if somebody's own code in it has asked for the time."""
+
+    def __init__(self, rule: str):
+        self._rule = rule
+        self._asked = ""
+
+    def __enter__(self) -> None:
+        sys.setprofile(self._note)
+
+    def __exit__(self, kind: Any, error: Any, traceback: Any) -> None:
+        sys.setprofile(None)
+        if self._asked and (error is None or isinstance(error, Exception)):
+            raise ValueError(
+                f"the seeding rule {self._rule!r} asks for the time ({self._asked}); its seeds may depend on the "
+                "context only"
+            )
+
+    def _note(self, frame: Any, event: str, function: Any) -> None:
+        if event != "c_call" or self._asked:
+            return
+        owner = getattr(function, "__self__", None)
+        name = getattr(function, "__name__", "")
+        module = getattr(owner, "__name__", "") or getattr(owner, "__module__", "")
+        is_clock = (module == "time" and name not in ("sleep", "strftime", "gmtime")) or (
+            module in ("datetime", "date") and name in ("now", "utcnow", "today")
+        )
+        if is_clock and not is_library(frame.f_globals.get("__name__") or "__main__"):
+            self._asked = f"{module}.{name}"
+
+
+_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+"""System calls of Landlock, on every processor."""
+_READ_FILE = 1 << 2
+_BENEATH = 1
+_NO_NEW_PRIVILEGES = 38
+
+
+def confine(places: Iterable[str | Path]) -> bool:
+    """From now on this process can read only files in these places, whatever opens them. Returns whether the system
+    can do that (Linux with Landlock); otherwise nothing changes."""
+    if not sys.platform.startswith("linux"):
+        return False
+    libc = ctypes.CDLL(None, use_errno=True)
+    call: Callable[..., int] = libc.syscall
+    handled = ctypes.c_uint64(_READ_FILE)
+    ruleset = call(_CREATE_RULESET, ctypes.byref(handled), ctypes.c_size_t(ctypes.sizeof(handled)), 0)
+    if ruleset < 0:
+        return False
+    try:
+        for place in dict.fromkeys(os.path.realpath(place) for place in places):
+            _allow(call, ruleset, place)
+        if libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0) != 0:
+            return False
+        return call(_RESTRICT_SELF, ruleset, 0) == 0
+    finally:
+        os.close(ruleset)
+
+
+class _Beneath(ctypes.Structure):
+    _pack_ = 1
+    _layout_ = "ms"
+    _fields_ = (("allowed", ctypes.c_uint64), ("parent", ctypes.c_int32))
+
+
+def _allow(call: Callable[..., int], ruleset: int, place: str) -> None:
+    try:
+        handle = os.open(place, os.O_PATH | os.O_CLOEXEC)
+    except OSError:  # it does not exist
+        return
+    try:
+        rule = _Beneath(_READ_FILE, handle)
+        call(_ADD_RULE, ruleset, _BENEATH, ctypes.byref(rule), 0)
+    finally:
+        os.close(handle)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

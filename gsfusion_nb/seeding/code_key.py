@@ -1,0 +1,272 @@
+"""The key of code: everything that decides what a rule, or another function or class, does. Equal keys, equal work.
+
+It is made here and nowhere else, for the lab, for ``--resume``, and again by every process before it works.
+"""
+
+import ast
+import functools
+import hashlib
+import importlib.machinery
+import itertools
+import json
+import sys
+import types
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .code_values import BESIDE, LOADED_SOURCE, RULE_SOURCE, UnhashableError, ValueHash, is_library_module
+from .installed import distribution_of, is_installed, state_of, with_requirements
+
+_PACKAGE = __name__.partition(".")[0]
+_LOOKUPS = {"globals", "vars", "eval", "exec", "locals", "getattr", "__import__"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodeKey:
+    """What decides what some code does."""
+
+    parts: Mapping[str, str]
+    """Part -> its hash or version. "values": code and values as they are loaded here, by what the code can reach.
+    "file NAME": content of a module's file, of all modules that are imported and are no installed packages.
+    "package NAME": version of an installed distribution, with a hash of its files that were edited since.
+    "missing NAME": a module that is imported and is not there."""
+    reason: str = ""
+    """Why the key says too little, so that nothing can be reused by it; empty if it says all."""
+    files: tuple[Path, ...] = field(default=(), repr=False, compare=False)
+    """The files of own modules."""
+    caches: tuple[Any, ...] = field(default=(), repr=False, compare=False)
+    """Functions with ``functools.cache`` that the code can reach."""
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """All parts in one hash, 32 hexadecimal digits."""
+        text = json.dumps([dict(self.parts), self.reason], sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def code_key(code: Any) -> CodeKey:
+    """The key of a function or class: its code and values, the files of all modules that they come from or that these
+    import, and the installed distributions that are reached.
+
+    Own code is what is not installed. It is hashed twice, as a file and as it is loaded: a process in which an older
+    version of a file is loaded has another key. Of packages in site-packages the version counts, and an edited file.
+    """
+    values = ValueHash()
+    parts: dict[str, str] = {}
+    reason = ""
+    try:
+        values.add(code, getattr(code, "__name__", type(code).__name__))
+        parts["values"] = values.hexdigest()
+    except UnhashableError as e:
+        reason = str(e)
+    files = _Closure(values.modules.values())
+    parts |= files.parts
+    for name, module in sorted(files.whole.items()):
+        loose = ValueHash(strict=False)
+        loose.add({k: v for k, v in sorted(vars(module).items()) if not k.startswith("__")})
+        parts[f"names in {name}"] = loose.hexdigest()
+    parts |= _packages(values.libraries | files.libraries)
+    return CodeKey(parts=parts, reason=reason or files.reason, files=tuple(files.files), caches=tuple(values.caches))
+
+
+def loaded_values(code: Any) -> str:
+    """A hash of the code and values as they are now, without any file; why there is none where it cannot be made."""
+    values = ValueHash()
+    try:
+        values.add(code, getattr(code, "__name__", type(code).__name__))
+    except UnhashableError as e:
+        return str(e)
+    return values.hexdigest()
+
+
+def rule_fingerprint(code: Any) -> str:
+    """``code_key(code).digest``."""
+    return code_key(code).digest
+
+
+def differing(a: Mapping[str, str], b: Mapping[str, str]) -> str:
+    """The parts in which two keys differ, in words."""
+    names = [name for name in sorted(a | b) if a.get(name) != b.get(name)]
+    words = [f"{name} ({a[name]}, {b[name]})" if _is_version(name, a, b) else name for name in names]
+    return ", ".join("code or values as loaded" if word == "values" else word for word in words)
+
+
+def _is_version(name: str, a: Mapping[str, str], b: Mapping[str, str]) -> bool:
+    return name.startswith("package ") and name in a and name in b
+
+
+def _packages(modules: Iterable[str]) -> dict[str, str]:
+    """State of the distributions that modules of libraries belong to, and of all that they require."""
+    names = set()
+    for module in modules:
+        top = module.partition(".")[0]
+        if top == _PACKAGE or top in sys.stdlib_module_names:
+            continue
+        file = _file_of(sys.modules.get(module)) or _file_of(sys.modules.get(top)) or _origin(where_module(top, None))
+        if file is not None and (name := distribution_of(file)):
+            names.add(name)
+    return {f"package {name}": state_of(name) for name in with_requirements(names) if name != "gsfusion-nb"}
+
+
+def _file_of(module: types.ModuleType | None) -> Path | None:
+    file = getattr(module, "__file__", None)
+    return Path(file) if file else None
+
+
+class _Closure:
+    """The files of own modules, and of all own modules that they import, at any depth of their code.
+
+    Args:
+        modules: Modules to begin with, as they are loaded.
+    """
+
+    def __init__(self, modules: Iterable[types.ModuleType]):
+        self.parts: dict[str, str] = {}
+        self.libraries: set[str] = set()
+        self.files: list[Path] = []
+        self.reason = ""
+        self.whole: dict[str, types.ModuleType] = {}
+        """Modules whose names may be looked up while the code runs, all of them if any module does so."""
+        self._done: set[str] = set()
+        self._loaded: dict[str, types.ModuleType] = {}
+        self._looks_up = False
+        for module in sorted(modules, key=lambda module: module.__name__):
+            self._add_module(module)
+        if self._looks_up:
+            self.whole = dict(self._loaded)
+
+    def _add_module(self, module: types.ModuleType) -> None:
+        if module.__name__ == "__main__" or id(module) in map(id, self._loaded.values()):
+            return
+        name = "of the rule" if hasattr(module, RULE_SOURCE) else module.__name__
+        self._loaded[name] = module
+        source = getattr(module, LOADED_SOURCE, None)
+        file = _file_of(module)
+        content = source if source is not None else None if file is None else _read(file)
+        package = module.__name__ if hasattr(module, "__path__") else module.__name__.rpartition(".")[0]
+        self._add_file(name, file, content, package, getattr(module, BESIDE, None))
+
+    def _add_file(self, name: str, file: Path | None, content: bytes | None, package: str, beside: Any) -> None:
+        if name in self._done:
+            return
+        self._done.add(name)
+        if file is not None:
+            self.files.append(file)
+        if content is None:
+            if file is not None:
+                self.reason = self.reason or f"{file}, the file of the module {name}, cannot be read"
+            return
+        self.parts[f"file {name}"] = hashlib.blake2b(content, digest_size=16).hexdigest()
+        if file is not None and file.suffix in importlib.machinery.EXTENSION_SUFFIXES:
+            return
+        tree = _parsed(content)
+        self._look_at_lookups(tree, name)
+        for imported in sorted(set(_imports(tree, package))):
+            self._add_import(imported, beside)
+
+    def _look_at_lookups(self, tree: ast.AST, name: str) -> None:
+        for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+            called = call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")
+            constant = [isinstance(a, ast.Constant) for a in call.args]
+            if called in ("import_module", "__import__", "run_path", "run_module") and not all(constant[:1]):
+                self.reason = self.reason or (
+                    f"{name}, line {call.lineno}, imports a module whose name is made while it runs ({called})"
+                )
+            if isinstance(call.func, ast.Name) and called in _LOOKUPS:
+                self._looks_up = self._looks_up or called != "getattr" or not all(constant[1:2])
+
+    def _add_import(self, name: str, beside: Any) -> None:
+        """Add a module by its name, and the packages that it is in."""
+        parts = name.split(".")
+        if parts[0] == _PACKAGE or parts[0] in sys.stdlib_module_names:
+            return
+        for n in range(1, len(parts) + 1):
+            dotted = ".".join(parts[:n])
+            module = beside.modules.get(dotted) if beside is not None else None
+            if module is None and not (beside is not None and beside.has(dotted)):
+                module = sys.modules.get(dotted)
+            if isinstance(module, types.ModuleType) and not is_library_module(module):
+                self._add_module(module)
+                continue
+            spec = where_module(dotted, beside)
+            if spec is None:
+                if n == 1:
+                    self.parts[f"missing {dotted}"] = ""
+                return
+            file = _origin(spec)
+            is_beside = beside is not None and beside.has(dotted)
+            if file is not None and is_installed(file) and not is_beside and distribution_of(file):
+                self.libraries.add(dotted)
+                return
+            package = dotted if spec.submodule_search_locations is not None else dotted.rpartition(".")[0]
+            if file is not None:
+                self._add_file(dotted, file, _read(file), package, beside)
+
+
+def imported_names(source: bytes, package: str) -> list[str]:
+    """Names of the modules that a source may import, sorted. ``package``: the package that it is in."""
+    return sorted(set(_imports(_parsed(source), package)))
+
+
+def _parsed(source: bytes) -> ast.AST:
+    try:
+        return ast.parse(source)
+    except (SyntaxError, ValueError):  # a compiled module, or one that cannot be imported either
+        return ast.Module(body=[], type_ignores=[])
+
+
+def _read(file: Path) -> bytes | None:
+    try:
+        return file.read_bytes()
+    except OSError:
+        return None
+
+
+def _origin(spec: importlib.machinery.ModuleSpec | None) -> Path | None:
+    return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
+
+
+def where_module(name: str, beside: Any) -> importlib.machinery.ModuleSpec | None:
+    """Where a module is, without importing anything; None if there is none."""
+    path: Any = None
+    spec = None
+    parts = name.split(".")
+    for n in range(1, len(parts) + 1):
+        dotted = ".".join(parts[:n])
+        finders = [*([beside] if beside is not None else []), *sys.meta_path]
+        found = (finder.find_spec(dotted, path) for finder in finders if hasattr(finder, "find_spec"))
+        try:
+            spec = next((spec for spec in found if spec is not None), None)
+        except (ImportError, ValueError, AttributeError):
+            spec = None
+        if spec is None:
+            return None
+        path = spec.submodule_search_locations
+        if path is None and n < len(parts):
+            return None
+    return spec
+
+
+def _imports(tree: ast.AST, package: str) -> Iterator[str]:
+    """Names of the modules that a file may import; ``from a import b`` may import a.b."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(package.split(".")[: len(package.split(".")) - node.level + 1]) if node.level else ""
+            source = ".".join(filter(None, (base, node.module)))
+            if source:
+                yield source
+                yield from (f"{source}.{alias.name}" for alias in node.names if alias.name != "*")
+        elif isinstance(node, ast.Call) and _called(node) in ("import_module", "__import__"):
+            yield from (a.value for a in itertools.islice(node.args, 1) if _is_name(a))
+
+
+def _called(call: ast.Call) -> str:
+    return call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")
+
+
+def _is_name(argument: ast.expr) -> bool:
+    return isinstance(argument, ast.Constant) and isinstance(argument.value, str) and not argument.value.startswith(".")

@@ -1,0 +1,491 @@
+"""A hash of a value and of everything that decides what it does, equal in every process: code, closures, attributes.
+
+What a value consists of is what the pickle protocol says, with the additions of cloudpickle, so no kind of value is
+left out. What cannot be pickled cannot be hashed.
+"""
+
+import contextlib
+import dis
+import functools
+import hashlib
+import importlib.util
+import io
+import re
+import sys
+import types
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
+
+import cloudpickle
+import numpy as np
+import torch
+
+from .installed import is_installed
+
+LOADED_SOURCE = "__loaded_source__"
+"""Name in a module that was loaded for a rule's file: the source that was executed."""
+RULE_SOURCE = "__rule_source__"
+"""Name in the module of a rule's file itself: its source."""
+BESIDE = "__beside__"
+"""Name in a module that was loaded for a rule's file: the finder of the modules beside that file."""
+_OWN = __name__.partition(".")[0]
+_CHECKS_TYPES = "jaxtyping"
+"""Beginning of the names of modules that put checks of types around functions, and change nothing else."""
+_ATOMS = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis), type(NotImplemented))
+_DESCRIPTORS = (
+    types.MemberDescriptorType, types.GetSetDescriptorType, types.WrapperDescriptorType, types.MethodDescriptorType,
+    types.ClassMethodDescriptorType, types.MethodWrapperType,
+)  # fmt: skip
+_NOT_OF_A_CLASS = {
+    "__dict__", "__weakref__", "__doc__", "__module__", "__annotations__", "__firstlineno__", "__static_attributes__",
+    "_abc_impl",
+}  # fmt: skip
+_BY_NAME = {"globals", "eval", "exec", "vars", "locals"}
+"""Builtins that look names up while a program runs."""
+
+
+class UnhashableError(ValueError):
+    """A value that cannot be hashed; the message says which and why."""
+
+
+@functools.lru_cache(maxsize=4096)
+def is_library(module: str) -> bool:
+    """Whether a module is this package's, Python's or an installed one, rather than somebody's own."""
+    if module == "__main__":  # a notebook, or a script
+        return False
+    top = module.partition(".")[0]
+    if top in (_OWN, *sys.stdlib_module_names) or not module or top.startswith(_CHECKS_TYPES):
+        return True
+    known = sys.modules.get(module) or sys.modules.get(top)
+    if known is not None:
+        return _is_library(known)
+    try:
+        spec = importlib.util.find_spec(top)
+    except (ImportError, ValueError):
+        return True
+    if spec is None:  # made by ``exec``, as a notebook's cells are
+        return False
+    file = spec.origin or next(iter(spec.submodule_search_locations or ()), None)
+    return file is None or file == "built-in" or is_installed(file)
+
+
+def _is_library(module: types.ModuleType) -> bool:
+    """``is_library`` of a module that is loaded."""
+    if hasattr(module, LOADED_SOURCE):
+        return False
+    places = [getattr(module, "__file__", None), *getattr(module, "__path__", ())]
+    place = next((place for place in places if isinstance(place, str)), None)
+    if place is None:
+        return getattr(module, "__spec__", None) is not None  # built in; one without a spec was made by a program
+    return is_installed(place) or place.startswith("<frozen")
+
+
+def is_library_module(module: types.ModuleType) -> bool:
+    """Whether this module object is a library's; two modules may share a name."""
+    name = getattr(module, "__name__", "")
+    if name == "__main__":
+        return False
+    if name.startswith(_CHECKS_TYPES):
+        return True
+    if name.partition(".")[0] in (_OWN, *sys.stdlib_module_names) and sys.modules.get(name) is module:
+        return True
+    return _is_library(module)
+
+
+def is_library_code(function: types.FunctionType) -> bool:
+    """Whether a function was written in a library: the module that it looks up its names in is one."""
+    home = home_of(function)
+    return (
+        is_library_module(home) if home is not None else is_library(function.__globals__.get("__name__") or "__main__")
+    )
+
+
+_homes: dict[int, types.ModuleType] = {}
+"""Identity of the namespace of a module that is not in ``sys.modules`` -> the module."""
+
+
+def keep_home(module: types.ModuleType) -> None:
+    """Note a module that functions come from and that is not in ``sys.modules`` by its name."""
+    _homes[id(vars(module))] = module
+
+
+def home_of(function: types.FunctionType) -> types.ModuleType | None:
+    """The module in whose namespace a function looks up its names; None for a namespace that is no module's."""
+    names = function.__globals__
+    known = sys.modules.get(names.get("__name__") or "")
+    if isinstance(known, types.ModuleType) and vars(known) is names:
+        return known
+    return _homes.get(id(names))
+
+
+class ValueHash:
+    """Puts values into a hash. The same values give the same hash in every process.
+
+    Own functions and classes are hashed with their code and with what the code can reach by the names in it. Those of
+    libraries are hashed by their name.
+
+    Args:
+        strict: Raise ``UnhashableError`` for a value that cannot be hashed. Otherwise its type stands for it.
+    """
+
+    def __init__(self, strict: bool = True):
+        self.modules: dict[int, types.ModuleType] = {}
+        """Own modules that were met, by identity."""
+        self.libraries: set[str] = set()
+        """Names of the modules of libraries that were met."""
+        self.caches: list[Any] = []
+        """Functions with ``functools.cache`` or ``lru_cache``, such as one that reads a network."""
+        self._strict = strict
+        self._hash = hashlib.blake2b(digest_size=16)
+        self._seen: dict[int, tuple[int, Any]] = {}
+        self._place: list[str] = []
+        self._reducers = cloudpickle.Pickler(io.BytesIO()).dispatch_table
+        self._names_at: dict[int, set[str]] = {}
+
+    def hexdigest(self) -> str:
+        """The hash of all values so far."""
+        return self._hash.hexdigest()
+
+    def add(self, value: Any, place: str = "") -> None:
+        """Add a value; ``place`` says where it is, for the message if it cannot be hashed.
+
+        Raises:
+            UnhashableError: it cannot be hashed.
+        """
+        if place:
+            self._place.append(place)
+        try:
+            self._add(value)
+        except RecursionError:
+            raise UnhashableError(f"{self._where()} is nested too deeply") from None
+        if place:
+            self._place.pop()
+
+    def _add(self, x: Any) -> None:
+        kind = type(x)
+        self._text(kind.__qualname__)
+        if kind in _ATOMS:
+            self._text(repr(x))
+        elif kind is tuple:
+            self._all(x)
+        elif kind is frozenset or kind is set:
+            self._set(x)
+        elif kind is types.CodeType:
+            self._code(x)
+        elif isinstance(x, types.ModuleType):
+            self._module(x)
+        elif kind in _DESCRIPTORS:
+            self._text(f"{x.__qualname__}")
+        elif self._is_new(x):
+            self._object(x)
+
+    def _is_new(self, x: Any) -> bool:
+        """Whether an object was not met before; one that was is hashed by its number, so that circles end."""
+        if id(x) in self._seen:
+            self._text(f"object {self._seen[id(x)][0]}")
+            return False
+        self._seen[id(x)] = len(self._seen), x  # kept, so that its identity is not given to another
+        return True
+
+    def _object(self, x: Any) -> None:
+        if hasattr(x, "cache_clear"):
+            self.caches.append(x)
+        if isinstance(x, types.FunctionType):
+            self._function(x)
+        elif isinstance(x, type):
+            self._class(x)
+        elif isinstance(x, torch.Tensor):
+            self._tensor(x)
+        elif type(x) is np.ndarray and not x.dtype.hasobject:
+            self._text(f"{x.dtype.descr} {x.shape} {x.strides}")
+            self._hash.update(np.ascontiguousarray(x).tobytes())
+        elif type(x) is list:
+            self._all(x)
+        elif type(x) is dict:
+            self._mapping(x)
+        elif isinstance(x, property):
+            self._all((x.fget, x.fset, x.fdel))
+        elif isinstance(x, classmethod | staticmethod):
+            self.add(x.__func__)
+        elif isinstance(x, types.MethodType):
+            self._all((x.__self__, x.__func__))
+        elif isinstance(x, functools.cached_property):
+            self._all((x.func, x.attrname))
+        elif isinstance(x, functools._lru_cache_wrapper):
+            self._text(repr(x.cache_parameters()))
+            self.add(x.__wrapped__)
+        elif isinstance(x, io.IOBase):
+            self._give_up(x, "it is open")
+        elif isinstance(x, types.MappingProxyType):
+            self._mapping(dict(x))
+        elif not self._by_reference(x):
+            self._reduced(x)
+
+    def _all(self, values: Iterable[Any]) -> None:
+        count = 0
+        for value in values:
+            self.add(value)
+            count += 1
+        self._text(f"{count} items")
+
+    def _mapping(self, x: Mapping[Any, Any]) -> None:
+        for key, value in list(x.items()):
+            self.add(key)
+            self.add(value, f"[{key!r}]" if type(key) in _ATOMS else "")
+        self._text(f"{len(x)} items")
+
+    def _attributes(self, x: Mapping[str, Any], without: Iterable[str] = ()) -> None:
+        """Values by name, whose order says nothing."""
+        for name in sorted(map(str, x.keys() - set(without))):
+            self._text(name)
+            self.add(x[name], f".{name}")
+
+    def _set(self, x: Iterable[Any]) -> None:
+        """Items in the order of their hashes: that of a set differs from process to process."""
+        digests = []
+        for item in x:
+            alone = self._another()
+            alone.add(item)
+            self.modules |= alone.modules
+            self.libraries |= alone.libraries
+            digests.append(alone.hexdigest())
+        self._text(" ".join(sorted(digests)))
+
+    def _another(self) -> "ValueHash":
+        return ValueHash(self._strict)
+
+    def _tensor(self, x: torch.Tensor) -> None:
+        if x.layout is not torch.strided or x.is_quantized or x.is_meta:
+            self._reduced(x)
+            return
+        self._text(f"{x.dtype} {tuple(x.shape)} {x.stride()} {x.requires_grad} {x.device.type}")
+        plain = x.detach().cpu().resolve_conj().resolve_neg().contiguous()
+        self._hash.update(plain.view(-1).view(torch.uint8).numpy().tobytes())
+        if type(x) not in (torch.Tensor, torch.nn.Parameter):
+            self.add(type(x))
+        self._attributes(getattr(x, "__dict__", {}))
+        if x.is_leaf and x.grad is not None:
+            self.add(x.grad, ".grad")
+
+    def _module(self, x: types.ModuleType, names: set[str] | None = None) -> None:
+        """A module, of which ``names`` are looked up."""
+        if is_library_module(x):
+            self._text(x.__name__)
+            self.libraries.add(x.__name__)
+            self._library_names(x, names or set())
+            return
+        self.modules[id(x)] = x
+        reached = self._names_at.setdefault(id(x), set())
+        for name in sorted((names or set()) & vars(x).keys() - reached):
+            reached.add(name)
+            self._text(name)
+            self._global(vars(x)[name], names or set(), f"{x.__name__}.{name}")
+
+    def _library_names(self, x: types.ModuleType, names: set[str]) -> None:
+        """What a library has by these names, where that is not what it says: constants, and functions of others."""
+        reached = self._names_at.setdefault(id(x), set())
+        for name in sorted((names & vars(x).keys()) - reached):
+            reached.add(name)
+            value = vars(x)[name]
+            if isinstance(value, types.ModuleType):
+                if is_library_module(value):
+                    self._library_names(value, names)
+            elif type(value) in _ATOMS:
+                self._text(f"{x.__name__}.{name} {value!r}")
+            elif isinstance(value, types.FunctionType) and not is_library_code(value):
+                self._text(f"{x.__name__}.{name}")
+                self.add(value, f"{x.__name__}.{name}")
+            elif callable(value) and (called := getattr(value, "__name__", name)) != name:
+                self._text(f"{x.__name__}.{name} is {called}")
+
+    def _function(self, f: types.FunctionType) -> None:
+        home = home_of(f)
+        self._text(f"{self._home_name(f.__module__)}.{f.__qualname__}")
+        if is_library_code(f):
+            self.libraries.add(f.__module__ or "")
+            is_its_own = is_library(f.__module__ or "") and _is_importable(f)
+            if not is_its_own:  # it was made around something, as by torch.no_grad
+                self._closure(f)
+                self.add(vars(f).get("__wrapped__"))
+            return
+        if home is not None:
+            self.modules[id(home)] = home
+        self._code(f.__code__)
+        self.add(f.__defaults__, f"default of {f.__name__}")
+        self.add(f.__kwdefaults__, f"default of {f.__name__}")
+        self._text(repr(sorted((name, _plain_repr(value)) for name, value in f.__annotations__.items())))
+        self._attributes(vars(f))
+        self._closure(f)
+        self._names_of_code(f, home)
+
+    def _closure(self, f: types.FunctionType) -> None:
+        for name, cell in zip(f.__code__.co_freevars, f.__closure__ or (), strict=True):
+            try:
+                content = cell.cell_contents
+            except ValueError:  # not assigned yet
+                self._text(f"no {name}")
+                continue
+            self.add(content, f"{name}, around {f.__name__},")
+
+    def _names_of_code(self, f: types.FunctionType, home: types.ModuleType | None) -> None:
+        names = {name for code in parts_of(f.__code__) for name in code.co_names}
+        by_name = _calls_by_name(f.__code__) if _BY_NAME & names - f.__globals__.keys() else ""
+        if by_name and (home is None or home.__name__ == "__main__"):
+            raise UnhashableError(f"{f.__name__} looks names up by {by_name}(), so what it uses is not known")
+        for name in sorted(names & f.__globals__.keys()):
+            if not name.startswith("__"):
+                self._text(name)
+                self._global(f.__globals__[name], names, f"global {name}")
+        for name in sorted(imported_inside(f)):
+            self._global(_imported(name, f), names, name)
+
+    def _global(self, x: Any, names: set[str], place: str) -> None:
+        """A value that code names; of a module, what the code can reach of it by these names."""
+        if isinstance(x, types.ModuleType):
+            self._module(x, names)
+        else:
+            self.add(x, place)
+
+    def _class(self, x: type) -> None:
+        self._text(f"{self._home_name(x.__module__)}.{x.__qualname__}")
+        home = sys.modules.get(x.__module__) or self._home_of_methods(x)
+        if is_library_module(home) if isinstance(home, types.ModuleType) else is_library(x.__module__):
+            self.libraries.add(x.__module__)
+            return
+        if isinstance(home, types.ModuleType):
+            self.modules[id(home)] = home
+        self._all((type(x), *x.__bases__))
+        self._attributes(vars(x), _NOT_OF_A_CLASS)
+        notes = vars(x).get("__annotations__", {})
+        self._text(repr([(name, _plain_repr(value)) for name, value in notes.items()]))
+
+    @staticmethod
+    def _home_of_methods(x: type) -> types.ModuleType | None:
+        methods = [member for member in vars(x).values() if isinstance(member, types.FunctionType)]
+        return next((home for method in methods if (home := home_of(method)) is not None), None)
+
+    @staticmethod
+    def _home_name(module: str | None) -> str:
+        """Name of a module; that of a rule's file does not depend on where the file is."""
+        home = sys.modules.get(module or "")
+        return "<rule>" if hasattr(home, RULE_SOURCE) else str(module)
+
+    def _code(self, code: types.CodeType) -> None:
+        self._hash.update(code.co_code)
+        table = getattr(code, "co_exceptiontable", b"")
+        shape = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags)
+        self._text(repr((code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars, shape, table)))
+        self._all(code.co_consts)
+
+    def _by_reference(self, x: Any) -> bool:
+        """Whether an object of a library can be found by its name, and was hashed by it."""
+        module, name = getattr(x, "__module__", None), getattr(x, "__qualname__", None) or getattr(x, "__name__", None)
+        if isinstance(x, types.BuiltinFunctionType) and isinstance(x.__self__, types.ModuleType | type):
+            self._text(f"{getattr(x.__self__, '__name__', '')}.{x.__qualname__}")
+            return True
+        if not isinstance(module, str) or not isinstance(name, str) or not is_library(module):
+            return False
+        if _resolved(module, name) is not x:
+            return False
+        self._text(f"{module}.{name}")
+        return True
+
+    def _reduced(self, x: Any) -> None:
+        """An object as pickle would store it."""
+        try:
+            reducer: Callable[[Any], Any] | None = self._reducers.get(type(x))
+            reduced = reducer(x) if reducer is not None else x.__reduce_ex__(4)
+        except Exception as e:  # whatever the object's own method raises
+            self._give_up(x, str(e))
+            return
+        if isinstance(reduced, str):
+            self._text(f"{getattr(x, '__module__', '')}.{reduced}")
+            return
+        make, arguments, *rest = reduced
+        self._all((make, *arguments))
+        state, listed, mapped = [*rest[:3], None, None, None][:3]
+        for part in state if isinstance(state, tuple) and len(state) == 2 else (state,):
+            if type(part) is dict and all(type(key) is str for key in part):
+                self._attributes(part)
+            else:
+                self.add(part)
+        self._all([] if listed is None else list(listed))
+        for key, value in [] if mapped is None else list(mapped):
+            self._all((key, value))
+        if not is_library(type(x).__module__) and type(getattr(x, "__dict__", None)) is dict:
+            self._attributes(vars(x))  # also what its own __getstate__ leaves out
+
+    def _give_up(self, x: Any, why: str) -> None:
+        if self._strict:
+            raise UnhashableError(f"{self._where()} is a {type(x).__name__}, which cannot be hashed ({why})")
+        self._text("unhashable")
+
+    def _where(self) -> str:
+        return "".join(place if place[0] in ".[" else f" {place}" for place in self._place).strip() or "a value"
+
+    def _text(self, text: str) -> None:
+        self._hash.update(text.encode(errors="surrogatepass") + b"\0")
+
+
+def parts_of(code: types.CodeType) -> Iterator[types.CodeType]:
+    """The code of a function and of the functions inside it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from parts_of(constant)
+
+
+def imported_inside(f: types.FunctionType) -> set[str]:
+    """Modules that a function imports while it runs, by their full names."""
+    package = f.__globals__.get("__package__") or (f.__globals__.get("__name__") or "").rpartition(".")[0]
+    found = set()
+    for code in parts_of(f.__code__):
+        instructions = list(dis.get_instructions(code))
+        for i, instruction in enumerate(instructions):
+            if instruction.opname == "IMPORT_NAME":
+                level = instructions[i - 2].argval  # put on the stack before the names
+                name = "." * level + instruction.argval if isinstance(level, int) else instruction.argval
+                with contextlib.suppress(ImportError):
+                    found.add(importlib.util.resolve_name(name, package))
+    return found
+
+
+def _calls_by_name(code: types.CodeType) -> str:
+    """The builtin by which code looks names up; empty if it does not. ``net.eval()`` is no such builtin."""
+    loaded = {
+        i.argval for part in parts_of(code) for i in dis.get_instructions(part)
+        if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")
+    }  # fmt: skip
+    return next(iter(sorted(_BY_NAME & loaded)), "")
+
+
+def _imported(name: str, f: types.FunctionType) -> Any:
+    """What ``import name`` inside a function gives; None where it fails, which the rule will notice."""
+    beside = f.__globals__.get(BESIDE)
+    if beside is None or not beside.has(name):
+        if name.partition(".")[0] in (_OWN, *sys.stdlib_module_names):
+            return None
+        if is_library(name):
+            return sys.modules.get(name)
+    bring = f.__builtins__.get("__import__", __import__)  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        return bring(name, f.__globals__, None, ("__name__",))
+    except Exception:  # what somebody's module raises
+        return None
+
+
+def _is_importable(f: types.FunctionType) -> bool:
+    return _resolved(f.__module__ or "", f.__qualname__) is f
+
+
+def _resolved(module: str, name: str) -> Any:
+    """What a module has by a dotted name; None if there is no such thing."""
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    return found
+
+
+def _plain_repr(annotation: Any) -> str:
+    """An annotation in words, without addresses."""
+    return annotation if isinstance(annotation, str) else re.sub(r" at 0x[0-9a-fA-F]+", "", repr(annotation))

@@ -1,0 +1,147 @@
+"""Functions of libraries that a program has replaced by its own, and switches of torch.
+
+They decide what all code of a process does.
+"""
+
+import functools
+import sys
+import types
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from .code_values import ValueHash, is_library_code, is_library_module
+
+_CALLED = (
+    types.FunctionType, types.BuiltinFunctionType, types.MethodDescriptorType, types.MethodType, type, property,
+    classmethod, staticmethod, functools.partial,
+)  # fmt: skip
+_AROUND_FUNCTIONS = (types.MethodType, staticmethod, classmethod, functools.partial, property)
+_HOOKS = {"builtins._", "builtins.display", "builtins.get_ipython"}
+"""What interactive programs set, and no computation reads."""
+
+
+def patches() -> dict[str, str]:
+    """Name in a loaded library -> hash of somebody's own function there. It takes about 0.15 s."""
+    found: dict[str, str] = {}
+    for place, names, _ in _namespaces():
+        for name, value in list(names.items()):
+            kind = type(value)
+            if kind is types.FunctionType:
+                if id(value.__globals__) in _known_libraries:
+                    continue
+            elif kind not in _AROUND_FUNCTIONS:
+                continue
+            own = _own_function(value)
+            if own is not None and place != "sys" and f"{place}.{name}" not in _HOOKS:
+                code = ValueHash(strict=False)
+                code.add(own)
+                found[f"{place}.{name}"] = code.hexdigest()
+    return found
+
+
+def switches() -> dict[str, str]:
+    """The settings of torch and numpy that change results and hold for the whole process."""
+    return {
+        "default dtype": str(torch.get_default_dtype()),
+        "default device": str(torch.get_default_device()),
+        "matmul precision": torch.get_float32_matmul_precision(),
+        "deterministic": str(torch.are_deterministic_algorithms_enabled()),
+        "gradients": str(torch.is_grad_enabled()),
+        "small numbers": "kept" if float(torch.tensor([1e-40]) * 1.0) else "zero",
+        "numpy errors": str(sorted(np.geterr().items())),
+    }
+
+
+@dataclass(frozen=True)
+class Namespace:
+    """The names of a module, or of a class, as they were."""
+
+    name: str
+    owner: Any
+    names: dict[str, Any]
+
+
+def library_state(*libraries: str) -> list[Namespace]:
+    """The names of loaded libraries and their classes, to compare with later by ``changes_since``.
+
+    Args:
+        libraries: Beginnings of the names of modules; all by default.
+    """
+    return [
+        Namespace(name, owner, dict(names))
+        for name, names, owner in _namespaces()
+        if not libraries or f"{name}.".startswith(libraries)
+    ]
+
+
+def changes_since(state: list[Namespace]) -> list[str]:
+    """Names in libraries whose function, class or number is another one than it was, sorted."""
+    return sorted(
+        f"{before.name}.{key}"
+        for before in state
+        for key, value in list(vars(before.owner).items())
+        if _is_change(before, key, value)
+    )
+
+
+def _is_change(before: Namespace, key: str, value: Any) -> bool:
+    if key.startswith("__"):
+        return False
+    bases = before.owner.__mro__[1:] if isinstance(before.owner, type) else ()
+    inherited = next((vars(base)[key] for base in bases if key in vars(base)), value)  # a new name of a module is lazy
+    was = before.names.get(key, inherited)
+    if was is value:
+        return False
+    if isinstance(value, _CALLED):
+        return isinstance(was, _CALLED)
+    is_number = type(value) in (int, float, str, bool, tuple)
+    return is_number and type(was) is type(value) and not key.startswith("_") and value != was
+
+
+def _namespaces() -> Iterator[tuple[str, Any, Any]]:
+    """Name, names and identity of each loaded library's module and of each class in it."""
+    seen: set[int] = set()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of names that are deprecated
+        for name, module in list(sys.modules.items()):
+            if type(module) is not types.ModuleType or name == "__main__" or not is_library_module(module):
+                continue
+            yield name, vars(module), module
+            for key, value in list(vars(module).items()):
+                if type(value) is not types.FunctionType and isinstance(value, type) and id(value) not in seen:
+                    seen.add(id(value))
+                    yield f"{name}.{key}", vars(value), value
+
+
+def _own_function(value: Any) -> Any:
+    """Somebody's own function that a name of a library leads to; None for what libraries are made of."""
+    kind = type(value)
+    if kind is types.FunctionType:
+        return None if _is_quickly_library(value) else value
+    if kind is types.MethodType or kind is staticmethod or kind is classmethod:
+        return _own_function(value.__func__)
+    if kind is functools.partial:
+        return _own_function(value.func)
+    if kind is property:
+        return next((own for f in (value.fget, value.fset) if (own := _own_function(f)) is not None), None)
+    return None
+
+
+_known_libraries: dict[int, Any] = {}
+"""Identity of the namespace of a library's module -> the namespace, kept so that its identity stays its own."""
+
+
+def _is_quickly_library(function: types.FunctionType) -> bool:
+    names = function.__globals__
+    if id(names) in _known_libraries:
+        return True
+    is_made_here = (names.get("__name__") or "").startswith("namedtuple_")  # by collections, for every class
+    if is_made_here or is_library_code(function):
+        _known_libraries[id(names)] = names
+        return True
+    return False

@@ -1,0 +1,745 @@
+"""The key of a rule: each way to change what it does without changing its own text is seen, or it cannot be kept.
+
+Every case gives the same thing twice, and another thing once: the first two have one key, the third another.
+"""
+
+import array
+import base64
+import collections
+import contextvars
+import dataclasses
+import datetime
+import decimal
+import enum
+import fractions
+import functools
+import hashlib
+import importlib
+import itertools
+import json
+import math
+import operator
+import os
+import random
+import re
+import subprocess
+import sys
+import threading
+import types
+import uuid
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.seeding import SeedContext, code_key, installed, is_built_in, registered
+from gsfusion_nb.seeding.code_key import differing, loaded_values
+from gsfusion_nb.seeding.patches import changes_since, library_state, patches, switches
+from gsfusion_nb.seeding.rule_code import load_rule_file
+
+
+class Slots:
+    """Values in slots."""
+
+    __slots__ = ("step",)
+
+    def __init__(self, step):
+        self.step = step
+
+
+class Plain:
+    """Values in a dict."""
+
+    def __init__(self, step):
+        self.step = step
+
+
+class Hides(Plain):
+    """Leaves out its value where it is pickled."""
+
+    def __getstate__(self):
+        return {}
+
+
+class Called(Plain):
+    """A rule's helper that is an object."""
+
+    def __call__(self, x):
+        return x * self.step
+
+
+class Point(NamedTuple):
+    """A named tuple."""
+
+    x: int
+    y: int
+
+
+@dataclasses.dataclass
+class Settings:
+    """A dataclass."""
+
+    step: int = 3
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class FrozenSettings:
+    """A frozen one with slots."""
+
+    step: int = 3
+
+
+class Mode(enum.Enum):
+    """An enumeration."""
+
+    FEW = 1
+    MANY = 2
+
+
+class Net(torch.nn.Module):
+    """A network whose forward depends on more than its parameters."""
+
+    def __init__(self, step=2, weight=1.0, buffer=0.0, *, training=True, hook=None, unsaved=0.0):
+        super().__init__()
+        self.step = step
+        self.layer = torch.nn.Linear(2, 2)
+        torch.nn.init.constant_(self.layer.weight, weight)
+        torch.nn.init.zeros_(self.layer.bias)
+        self.register_buffer("shift", torch.full((2,), buffer))
+        self.register_buffer("unsaved", torch.full((2,), unsaved), persistent=False)
+        self.train(training)
+        if hook is not None:
+            self.layer.register_forward_hook(hook)
+
+
+def doubled(module, inputs, output):
+    return output * 2
+
+
+def tripled(module, inputs, output):
+    return output * 3
+
+
+def with_counter(n):
+    counter = itertools.count()
+    for _ in range(n):
+        next(counter)
+    return counter
+
+
+def with_attribute(value):
+    def helper(x):
+        return x
+
+    helper.step = value
+    return helper
+
+
+def nested(value):
+    def outer():
+        def inner():
+            return value
+
+        return inner
+
+    return outer()
+
+
+def with_default(value):
+    def helper(x, step=value, *, other=1):
+        return x * step * other
+
+    return helper
+
+
+def with_keyword(value):
+    def helper(x, *, step=value):
+        return x * step
+
+    return helper
+
+
+def wrapped(value):
+    """A decorator as functools.wraps makes them, with a value that only the wrapper has."""
+
+    def plain(x):
+        return x
+
+    @functools.wraps(plain)
+    def wrapper(x):
+        return plain(x) * value
+
+    return wrapper
+
+
+class Decorator:
+    """A decorator that is an object."""
+
+    def __init__(self, function, step):
+        functools.update_wrapper(self, function)
+        self.step = step
+
+    def __call__(self, x):
+        return self.__wrapped__(x) * self.step
+
+
+def made_class(**members):
+    return type("Made", (), members)
+
+
+def subclass_of(step):
+    base = type("Base", (), {"step": step})
+    return type("Made", (base,), {})
+
+
+def property_of(step):
+    return type("Made", (), {"step": property(lambda self: step)})
+
+
+def static_of(step):
+    return type("Made", (), {"step": staticmethod(lambda: step), "other": classmethod(lambda cls: step)})
+
+
+def cached_of(step):
+    @functools.lru_cache(maxsize=step)
+    def helper(x):
+        return x
+
+    return helper
+
+
+def cell_later(value):
+    def rule():
+        return later
+
+    if value:
+        later = value
+    return rule
+
+
+def descriptor_of(step):
+    class Descriptor:
+        def __get__(self, instance, owner):
+            return step
+
+    return type("Made", (), {"step": Descriptor()})
+
+
+def torch_generator(seed):
+    return torch.Generator().manual_seed(seed)
+
+
+def circle(value):
+    found = [value]
+    found.append(found)
+    return found
+
+
+def set_in_reverse(values):
+    """An equal set that was filled in another order."""
+    found = set()
+    for value in sorted(values, reverse=True):
+        found.add(value)
+    return found
+
+
+NET = Net(hook=doubled)
+"""Its hook has a number that no second one has."""
+VALUES: dict[str, Any] = {
+    "int": (3, 3, 4),
+    "bool or int": (True, True, 1),
+    "float": (0.1, 0.1, 0.1 + 1e-17 + 1e-16),
+    "negative zero": (0.0, 0.0, -0.0),
+    "complex": (1j, 1j, 2j),
+    "text": ("a", "a", "b"),
+    "bytes": (b"a", b"a", b"b"),
+    "bytearray": (bytearray(b"a"), bytearray(b"a"), bytearray(b"b")),
+    "None": (None, None, 0),
+    "ellipsis": (..., ..., NotImplemented),
+    "range": (range(3), range(3), range(0, 3, 2)),
+    "slice": (slice(1, 9), slice(1, 9), slice(1, 9, 2)),
+    "list": ([1, 2], [1, 2], [2, 1]),
+    "tuple or list": ((1, 2), (1, 2), [1, 2]),
+    "dict": ({"a": 1}, {"a": 1}, {"a": 2}),
+    "order of a dict": ({"a": 1, "b": 2}, {"a": 1, "b": 2}, {"b": 2, "a": 1}),
+    "set": ({"a", "b", "c"}, set_in_reverse({"a", "b", "c"}), {"a", "b", "d"}),
+    "frozenset": (frozenset({1, 2}), frozenset({2, 1}), frozenset({1, 3})),
+    "set of functions": ({doubled, tripled}, {tripled, doubled}, {doubled}),
+    "list in itself": (circle(1), circle(1), circle(2)),
+    "SimpleNamespace": (types.SimpleNamespace(s=20), types.SimpleNamespace(s=20), types.SimpleNamespace(s=5)),
+    "mapping proxy": (*(types.MappingProxyType({"a": v}) for v in (1, 1, 2)),),
+    "ChainMap": (*(collections.ChainMap({"a": v}, {"b": 0}) for v in (1, 1, 2)),),
+    "deque": (collections.deque([1]), collections.deque([1]), collections.deque([1], maxlen=4)),
+    "Counter": (collections.Counter("aab"), collections.Counter("aab"), collections.Counter("abb")),
+    "factory of a defaultdict": (*(collections.defaultdict(kind) for kind in (int, int, list)),),
+    "array": (array.array("f", [1]), array.array("f", [1]), array.array("f", [2])),
+    "memoryview": (memoryview(b"a"), memoryview(b"a"), memoryview(b"b")),
+    "Path": (Path("a"), Path("a"), Path("b")),
+    "Fraction": (fractions.Fraction(1, 3), fractions.Fraction(1, 3), fractions.Fraction(1, 4)),
+    "Decimal": (decimal.Decimal("1.0"), decimal.Decimal("1.0"), decimal.Decimal("1.1")),
+    "date": (*(datetime.date(2026, 1, day) for day in (1, 1, 2)),),
+    "UUID": (uuid.UUID(int=1), uuid.UUID(int=1), uuid.UUID(int=2)),
+    "compiled pattern": (re.compile("a+"), re.compile("a+"), re.compile("a*")),
+    "flags of a pattern": (re.compile("a"), re.compile("a"), re.compile("a", re.IGNORECASE)),
+    "enumeration": (Mode.FEW, Mode.FEW, Mode.MANY),
+    "named tuple": (Point(1, 2), Point(1, 2), Point(1, 3)),
+    "dataclass": (Settings(3), Settings(3), Settings(4)),
+    "frozen dataclass with slots": (FrozenSettings(3), FrozenSettings(3), FrozenSettings(4)),
+    "object": (Plain(3), Plain(3), Plain(4)),
+    "object with slots": (Slots(3), Slots(3), Slots(4)),
+    "object that hides its state": (Hides(3), Hides(3), Hides(4)),
+    "callable object": (Called(3), Called(3), Called(4)),
+    "object in an object": (Plain(Plain(3)), Plain(Plain(3)), Plain(Plain(4))),
+    "method of an object": (Called(3).__call__, Called(3).__call__, Called(4).__call__),
+    "partial": (*(functools.partial(pow, v) for v in (2, 2, 3)),),
+    "keyword of a partial": (*(functools.partial(int, base=v) for v in (2, 2, 3)),),
+    "itemgetter": (operator.itemgetter(0), operator.itemgetter(0), operator.itemgetter(1)),
+    "methodcaller": (*(operator.methodcaller("add", v) for v in (1, 1, 2)),),
+    "count": (with_counter(1), with_counter(1), with_counter(2)),
+    "Python's random numbers": (random.Random(1), random.Random(1), random.Random(2)),
+    "function of a library": (math.sin, math.sin, math.cos),
+    "method of a text": ("a".join, "a".join, "b".join),
+    "NumPy scalar": (np.float64(1.5), np.float64(1.5), np.float64(2.5)),
+    "type of a NumPy scalar": (np.float64(1), np.float64(1), np.float32(1)),
+    "array of NumPy": (np.arange(3), np.arange(3), np.arange(3) + 1),
+    "shape of an array": (np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((3, 2))),
+    "array of objects": (*(np.array([v, "x"], dtype=object) for v in (1, 1, 2)),),
+    "structured array": (*(np.array([(v, 2.0)], dtype="i4,f8") for v in (1, 1, 2)),),
+    "type of an array": (np.dtype("f4"), np.dtype("f4"), np.dtype(">f4")),
+    "function of NumPy": (np.maximum, np.maximum, np.minimum),
+    "NumPy's random numbers": (*(np.random.default_rng(seed) for seed in (1, 1, 2)),),
+    "tensor": (torch.ones(3), torch.ones(3), torch.zeros(3)),
+    "one bit of a tensor": (torch.ones(3), torch.ones(3), torch.tensor([1.0, 1.0, 1.0000001])),
+    "strides of a tensor": (torch.ones(2, 2), torch.ones(2, 2), torch.ones(2, 2).T),
+    "sparse tensor": (*(torch.eye(2).mul(v).to_sparse() for v in (1, 1, 2)),),
+    "dtype of torch": (torch.float32, torch.float32, torch.float64),
+    "function of torch": (torch.sum, torch.sum, torch.mean),
+    "torch's random numbers": (torch_generator(1), torch_generator(1), torch_generator(2)),
+    "weights of a network": (Net(), Net(), Net(weight=1.5)),
+    "buffer of a network": (Net(), Net(), Net(buffer=1.0)),
+    "buffer that is not saved": (Net(), Net(), Net(unsaved=1.0)),
+    "attribute of a network": (Net(), Net(), Net(step=3)),
+    "network that trains": (Net(), Net(), Net(training=False)),
+    "hook of a network": (NET, NET, Net(hook=tripled)),
+    "stride of a layer": (*(torch.nn.MaxPool2d(3, stride=s) for s in (1, 1, 2)),),
+    "default": (with_default(1), with_default(1), with_default(2)),
+    "keyword default": (with_keyword(1), with_keyword(1), with_keyword(2)),
+    "attribute of a function": (with_attribute(1), with_attribute(1), with_attribute(2)),
+    "closure in a closure": (nested(1), nested(1), nested(2)),
+    "name that is not assigned yet": (cell_later(0), cell_later(0), cell_later(1)),
+    "wrapper of functools.wraps": (wrapped(1), wrapped(1), wrapped(2)),
+    "decorator that is an object": (*(Decorator(doubled, v) for v in (1, 1, 2)),),
+    "function under torch.no_grad": (*(torch.no_grad()(f) for f in (doubled, doubled, tripled)),),
+    "function in an lru_cache": (*(functools.cache(f) for f in (doubled, doubled, tripled)),),
+    "size of an lru_cache": (cached_of(1), cached_of(1), cached_of(2)),
+    "attribute of a class": (made_class(step=1), made_class(step=1), made_class(step=2)),
+    "base class": (subclass_of(1), subclass_of(1), subclass_of(2)),
+    "property": (property_of(1), property_of(1), property_of(2)),
+    "static method": (static_of(1), static_of(1), static_of(2)),
+    "descriptor": (descriptor_of(1), descriptor_of(1), descriptor_of(2)),
+}  # fmt: skip
+
+
+def rule_with(value):
+    """A rule that uses a value."""
+
+    def rule(ctx):
+        return ctx.seeds_at(ctx.pixels(), value)
+
+    return rule
+
+
+@pytest.mark.parametrize("values", VALUES.values(), ids=VALUES)
+def test_values_of_every_kind_are_seen(values):
+    first, same, other = (loaded_values(rule_with(value)) for value in values)
+    assert [len(digest) for digest in (first, same, other)] == [32] * 3
+    assert first == same
+    assert first != other
+
+
+UNHASHABLE = {
+    "lock": (threading.Lock, "cannot pickle"),
+    "generator": (lambda: (x for x in ()), "generator"),
+    "local of a thread": (threading.local, "cannot pickle"),
+    "context variable": (lambda: contextvars.ContextVar("x"), "ContextVar"),
+    "open file": (lambda: open(os.devnull), "cannot be hashed"),  # noqa: SIM115
+    "lock in an object": (lambda: Plain([threading.Lock()]), "cannot pickle"),
+    "hash in the making": (hashlib.sha256, "cannot pickle"),
+}
+
+
+@pytest.mark.parametrize(("make", "reason"), UNHASHABLE.values(), ids=UNHASHABLE)
+def test_what_cannot_be_hashed_is_said_with_its_place(make, reason):
+    value = make()
+    key = code_key(rule_with(value))
+    assert "value, around rule," in key.reason
+    assert reason in key.reason
+    if hasattr(value, "close"):
+        value.close()
+
+
+def test_lookups_by_name_in_a_notebook_are_no_key(monkeypatch):
+    cell = types.ModuleType("__main__")
+    exec("STEP = 3\ndef rule(ctx):\n    return globals()['STEP']\ndef net(ctx):\n    return ctx.eval()\n", vars(cell))
+    monkeypatch.setitem(sys.modules, "__main__", cell)
+    assert "looks names up by globals()" in code_key(cell.rule).reason
+    assert code_key(cell.net).reason == ""
+
+
+HELPER = """
+import math
+import torch
+STEP = 3
+CFG = {"step": 20}
+def radius(x):
+    return x * STEP
+class Grid:
+    step = 4
+    def size(self):
+        return self.step
+GRID = Grid()
+"""
+RULE = "{imports}\ndef rule(ctx):\n    {inside}\n    return ctx.seeds_at(ctx.pixels()[::{use}], 1.0)\n"
+
+
+@pytest.fixture
+def files(tmp_path):
+    """``files(name=text, ...)`` writes modules beside ``rule.py`` and gives the rule, loaded anew."""
+
+    def write(**texts):
+        for name, text in texts.items():
+            path = tmp_path / f"{name.replace('__', '/')}.py"
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text)
+        return load_rule_file(f"{tmp_path / 'rule.py'}:rule")
+
+    return write
+
+
+IMPORTS = {
+    "module": ("import helper", "pass", "helper.STEP"),
+    "name": ("from helper import STEP", "pass", "STEP"),
+    "function": ("from helper import radius", "pass", "radius(2)"),
+    "alias": ("import helper as h", "pass", "h.GRID.size()"),
+    "star": ("from helper import *", "pass", "GRID.step"),
+    "inside": ("", "import helper", "helper.radius(1)"),
+    "by getattr": ("import helper", "pass", "getattr(helper, 'ST' + 'EP')"),
+    "by vars": ("import helper", "pass", "vars(helper)['STEP']"),
+    "by import_module": ("import importlib", "helper = importlib.import_module('helper')", "helper.STEP"),
+    "if it is there": ("try:\n    import helper\nexcept ImportError:\n    helper = None", "pass", "helper.STEP"),
+}
+
+
+@pytest.mark.parametrize(("imports", "inside", "use"), IMPORTS.values(), ids=IMPORTS)
+def test_an_edited_helper_is_seen_however_it_is_imported(files, imports, inside, use):
+    text = RULE.format(imports=imports, inside=inside, use=use)
+    first = code_key(files(rule=text, helper=HELPER))
+    again = code_key(files(rule=text, helper=HELPER))
+    edited = code_key(files(helper=HELPER.replace("STEP = 3", "STEP = 5")))
+    assert first.digest == again.digest != edited.digest
+    assert "file helper" in differing(first.parts, edited.parts)
+
+
+CHANGES_OF_A_LOADED_MODULE = {
+    "constant": ("helper.STEP", lambda helper: setattr(helper, "STEP", 5)),
+    "item of a dict": ("helper.CFG['step']", lambda helper: helper.CFG.update(step=5)),
+    "function": ("helper.radius(1)", lambda helper: setattr(helper, "radius", lambda x: x + 9)),
+    "method": ("helper.GRID.size()", lambda helper: setattr(helper.Grid, "size", lambda self: 9)),
+    "attribute of a class": ("helper.GRID.size()", lambda helper: setattr(helper.Grid, "step", 9)),
+    "attribute of an object": ("helper.GRID.size()", lambda helper: setattr(helper.GRID, "step", 9)),
+    "global of a function": ("helper.radius(1)", lambda helper: setattr(helper, "STEP", 9)),
+    "name that is made": ("getattr(helper, 'ST' + 'EP')", lambda helper: setattr(helper, "STEP", 9)),
+    "code of a function": ("helper.radius(1)", lambda helper: set_code(helper.radius)),
+    "default of a function": ("helper.radius(1)", lambda helper: setattr(helper.radius, "__defaults__", (9,))),
+}
+
+
+def set_code(function):
+    function.__code__ = (lambda x: x + 9).__code__
+
+
+@pytest.mark.parametrize(("use", "change"), CHANGES_OF_A_LOADED_MODULE.values(), ids=CHANGES_OF_A_LOADED_MODULE)
+def test_a_change_of_a_loaded_module_is_seen(files, use, change):
+    """As a worker has it that loaded an older file, or a notebook that sets a value."""
+    rule = files(rule=RULE.format(imports="import helper", inside="pass", use=use), helper=HELPER)
+    before = code_key(rule)
+    change(vars(sys.modules[rule.__module__])["helper"])
+    after = code_key(rule)
+    assert before.digest != after.digest
+    assert "file helper" not in differing(before.parts, after.parts)
+
+
+DECORATOR = """
+import functools
+def NAME(f):
+    @functools.wraps(f)
+    def g(ARGS):
+        return RESULT
+    return g
+"""
+MODULES = {
+    "helper of a helper": {"helper": "import deeper\nSTEP = deeper.STEP\n", "deeper": "STEP = {}\n"},
+    "package": {"helper": "from parts.deep import STEP\n", "parts/__init__": "", "parts/deep": "STEP = {}\n"},
+    "relative import": {"helper": "from parts import STEP\n", "parts/__init__": "from .deep import STEP\n",
+                        "parts/deep": "STEP = {}\n"},
+    "beginning of a package": {"helper": "from parts.deep import STEP\n", "parts/__init__": "X = {}\n",
+                               "parts/deep": "STEP = 3\n"},
+    "folder without a beginning": {"helper": "from loose.deep import STEP\n", "loose/deep": "STEP = {}\n"},
+    "import in a function that is not called": {
+        "helper": "STEP = 3\ndef f():\n    import deeper\n",
+        "deeper": "X = {}\n",
+    },
+    "modules that import each other": {"helper": "import deeper\nSTEP = 3\n", "deeper": "import helper\nX = {}\n"},
+    "decorator in a helper": {
+        "helper": "from deco import more\n@more\ndef f():\n    return 3\nSTEP = f()\n",
+        "deco": DECORATOR.replace("NAME", "more").replace("ARGS", "").replace("RESULT", "f() + {}"),
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("modules", MODULES.values(), ids=MODULES)
+def test_all_modules_that_are_imported_are_seen(tmp_path, modules):
+    keys = []
+    (tmp_path / "rule.py").write_text(RULE.format(imports="import helper", inside="pass", use="helper.STEP"))
+    for value in (1, 1, 2):
+        for name, text in modules.items():
+            path = tmp_path / f"{name}.py"
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text.replace("{}", str(value)))
+        keys.append(code_key(load_rule_file(f"{tmp_path / 'rule.py'}:rule")).digest)
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_a_decorator_of_the_rule_itself_is_seen(files):
+    deco = DECORATOR.replace("NAME", "thin").replace("ARGS", "ctx").replace("RESULT", "f(ctx)[::{}]")
+    text = "from deco import thin\n@thin\ndef rule(ctx):\n    return ctx.seeds_at(ctx.pixels(), 1.0)\n"
+    keys = [code_key(files(rule=text, deco=deco.format(n))).parts["values"] for n in (2, 2, 3)]
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_a_rule_of_this_package_in_somebodys_wrapper_is_not_of_this_package():
+    rule: Any = registered()["uniform"]
+
+    @functools.wraps(rule)
+    def mine(ctx, **options):
+        return rule(ctx, **options)[::2]
+
+    assert is_built_in(rule)
+    assert not is_built_in(mine)
+    assert not is_built_in(torch.no_grad()(mine))
+
+
+def test_an_edit_within_the_same_second_of_the_same_length_is_executed(files):
+    """Python would take its compiled copy of the helper, which has the same time and size."""
+    text = RULE.format(imports="import helper", inside="pass", use="helper.STEP")
+    values = []
+    for step in (3, 5):
+        rule = files(rule=text, helper=f"STEP = {step}\n")
+        file = Path(sys.modules[rule.__module__].__file__ or "").parent / "helper.py"
+        os.utime(file, (1_700_000_000, 1_700_000_000))
+        values.append(vars(sys.modules[rule.__module__])["helper"].STEP)
+    assert values == [3, 5]
+
+
+LATE = "import helper\ndef rule(ctx):\n    import helper as late\n    return late.STEP\n"
+
+
+def test_two_folders_may_have_modules_of_one_name(tmp_path):
+    rules = []
+    for name, step in (("a", 3), ("b", 5)):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "helper.py").write_text(f"STEP = {step}\n")
+        (folder / "rule.py").write_text(LATE)
+        rules.append(load_rule_file(f"{folder / 'rule.py'}:rule"))
+    assert [rule(None) for rule in (*rules, *rules)] == [3, 5, 3, 5]  # type: ignore[arg-type]
+    assert "helper" not in sys.modules
+    assert code_key(rules[0]).digest != code_key(rules[1]).digest
+
+
+def test_a_module_that_appears_is_seen(files):
+    text = "try:\n    import not_there_yet\nexcept ImportError:\n    pass\ndef rule(ctx):\n    return None\n"
+    before = code_key(files(rule=text))
+    assert "missing not_there_yet" in before.parts
+    assert code_key(files(not_there_yet="X = 1\n")).digest != before.digest
+
+
+REFUSED_IMPORTS = {
+    "import_module": "import importlib\ndef rule(ctx):\n    return importlib.import_module(ctx.name)\n",
+    "__import__": "def rule(ctx):\n    return __import__('hel' + ctx.name)\n",
+    "run_path": "import runpy\ndef rule(ctx):\n    return runpy.run_path(ctx.name)\n",
+}
+
+
+@pytest.mark.parametrize("text", REFUSED_IMPORTS.values(), ids=REFUSED_IMPORTS)
+def test_modules_whose_names_are_made_are_no_key(files, text):
+    assert "a module whose name is made while it runs" in code_key(files(rule=text)).reason
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    """``site(name, text, version, requires)`` installs a package of one file; gives the file."""
+    folder = tmp_path / "lib" / "site-packages"
+    monkeypatch.syspath_prepend(folder)
+
+    def install(name, text="X = 1\n", version="1.0", requires=()):
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in folder.glob(f"{name}-*"):
+            for file in old.iterdir():
+                file.unlink()
+            old.rmdir()
+        file = folder / f"{name}.py"
+        file.write_text(text)
+        info = folder / f"{name}-{version}.dist-info"
+        info.mkdir()
+        needs = "".join(f"Requires-Dist: {other}\n" for other in requires)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{needs}")
+        digest = base64.urlsafe_b64encode(hashlib.sha256(file.read_bytes()).digest()).rstrip(b"=").decode()
+        (info / "RECORD").write_text(f"{name}.py,sha256={digest},{len(text)}\n")
+        for cache in (installed._records, installed.distribution_of, installed._requirements, installed.state_of):
+            cache.cache_clear()
+        importlib.invalidate_caches()
+        sys.modules.pop(name, None)
+        return file
+
+    yield install
+    for cache in (installed._records, installed.distribution_of, installed._requirements, installed.state_of):
+        cache.cache_clear()
+    for name in ("bought", "needed"):
+        sys.modules.pop(name, None)
+
+
+USES_BOUGHT = "import bought\ndef rule(ctx):\n    return bought.X\n"
+
+
+def test_the_version_of_an_installed_package_is_seen(files, site):
+    site("bought", version="1.0")
+    before = code_key(files(rule=USES_BOUGHT))
+    assert before.parts["package bought"] == "1.0"
+    site("bought", version="1.1")
+    after = code_key(files(rule=USES_BOUGHT))
+    assert differing(before.parts, after.parts) == "package bought (1.0, 1.1)"
+
+
+def test_the_version_of_what_a_package_requires_is_seen(files, site):
+    site("bought", requires=["needed>=1"])
+    site("needed", version="2.0")
+    before = code_key(files(rule=USES_BOUGHT))
+    site("needed", version="2.1")
+    assert differing(before.parts, code_key(files(rule=USES_BOUGHT)).parts) == "package needed (2.0, 2.1)"
+
+
+def test_an_edited_file_of_an_installed_package_is_seen(files, site):
+    """The process may have loaded the file as it was, so the key is one that no other process has."""
+    file = site("bought")
+    before = code_key(files(rule=USES_BOUGHT))
+    file.write_text("X = 2\n")
+    installed.look_again()
+    after = code_key(files(rule=USES_BOUGHT))
+    assert "edited" in after.parts["package bought"]
+    assert before.digest != after.digest
+
+
+def test_a_file_among_the_packages_that_none_installed_is_seen(files, site):
+    file = site("needed").with_name("dropped.py")
+    file.write_text("X = 1\n")
+    text = USES_BOUGHT.replace("bought", "dropped")
+    before = code_key(files(rule=text))
+    assert "file dropped" in before.parts
+    file.write_text("X = 2\n")
+    sys.modules.pop("dropped", None)
+    assert code_key(files(rule=text)).digest != before.digest
+
+
+def mine(*args, **kwargs):
+    return None
+
+
+PATCHES = {
+    "function of torch": (torch, "sum", mine),
+    "method of a tensor": (torch.Tensor, "median", mine),
+    "function of NumPy": (np, "median", mine),
+    "function of Python": (math, "sqrt", lambda x: x),
+    "method of the context": (SeedContext, "cells", mine),
+    "partial with a function of one's own": (torch, "sum", functools.partial(mine, 1)),
+    "property of the context": (SeedContext, "has_map", property(mine)),
+    "wrapper of the function itself": (torch, "sum", functools.wraps(torch.sum)(mine)),
+}
+
+
+@pytest.mark.parametrize(("owner", "name", "value"), PATCHES.values(), ids=PATCHES)
+def test_a_function_of_a_library_that_is_replaced_is_seen(monkeypatch, owner, name, value):
+    before = patches()
+    monkeypatch.setattr(owner, name, value)
+    assert any(key.endswith(f".{name}") for key in patches().keys() - before.keys())
+
+
+SWAPS = {
+    "another function of torch": (torch, "median", torch.mean),
+    "another method of a tensor": (torch.Tensor, "median", torch.Tensor.mean),
+    "another method of the context": (SeedContext, "corners", SeedContext.pixels),
+    "constant": (math, "pi", 3.0),
+}
+
+
+@pytest.mark.parametrize(("owner", "name", "value"), SWAPS.values(), ids=SWAPS)
+def test_a_name_of_a_library_that_leads_elsewhere_is_seen(monkeypatch, owner, name, value):
+    before = library_state("torch.", "math.", "gsfusion_nb.seeding.context")
+    monkeypatch.setattr(owner, name, value)
+    assert any(key.endswith(f".{name}") for key in changes_since(before))
+
+
+def test_a_swapped_function_that_the_rule_names_is_seen(monkeypatch):
+    def rule(ctx):
+        return torch.median(ctx.depth) * math.pi
+
+    keys = [loaded_values(rule)]
+    for owner, name, value in ((torch, "median", torch.mean), (math, "pi", 3.0)):
+        monkeypatch.setattr(owner, name, value)
+        keys.append(loaded_values(rule))
+    assert len(set(keys)) == 3
+
+
+def test_settings_of_the_whole_process_are_seen():
+    before = switches()
+    with torch.no_grad():
+        assert switches() != before
+    with np.errstate(divide="raise"):
+        assert switches() != before
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert switches() != before
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert switches() == before
+
+
+A_DATACLASS = """
+from dataclasses import dataclass, field
+@dataclass(frozen=True)
+class C:
+    a: int = 1
+    b: list = field(default_factory=list)
+MADE = C()
+"""
+KEY_OF_A_FILE = """
+import json
+import sys
+from gsfusion_nb.seeding import code_key
+from gsfusion_nb.seeding.rule_code import load_rule_file
+print(json.dumps(dict(code_key(load_rule_file(sys.argv[1])).parts)))
+"""
+
+
+def test_the_key_is_the_same_in_every_process(files, tmp_path):
+    """Sets of words have another order in each process, and identities are others."""
+    helper = HELPER + "WORDS = {'a', 'b', 'c', 'd'}\nMIXED = {radius, math.sin, torch.sum}\nKINDS = [Grid(), Grid()]\n"
+    imports = f"import helper{A_DATACLASS}"
+    use = "helper.STEP + len(helper.WORDS | helper.MIXED) + MADE.a + len(helper.KINDS)"
+    here = code_key(files(rule=RULE.format(imports=imports, inside="pass", use=use), helper=helper)).parts
+    environment = {**os.environ, "PYTHONHASHSEED": "7"}
+    command = [sys.executable, "-c", KEY_OF_A_FILE, f"{tmp_path / 'rule.py'}:rule"]
+    there = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    assert json.loads(there) == here
