@@ -16,7 +16,8 @@ from typing import Any
 
 from ..files import cache_folder
 from ..seeding import check_rule, code_key
-from ..seeding.code_values import is_library
+from ..seeding.code_values import is_library_namespace
+from ..seeding.installed import is_installed
 from ..seeding.patches import changes_since, library_state, switches
 from ..seeding.rule import option_paths
 from ..seeding.rule_code import refuse_undeclared, rule_of_source
@@ -38,6 +39,9 @@ class CheckJob:
     """The pickled function that gives further images of each frame; empty: there are none."""
 
 
+_ALONE = "in a process of its own, which can read only the files that the options name: "
+
+
 def main(job_file: str) -> int:
     """Do the job in a file, and write what was found to the file beside it (.json): "refused", why, or empty; and
     "code", the parts of the rule's key."""
@@ -47,8 +51,8 @@ def main(job_file: str) -> int:
         job: CheckJob = pickle.loads(path.read_bytes())
         found["code"] = _checked(job)
     except Exception as e:  # a rule may raise anything
-        words = f"{e}" if isinstance(e, (AssertionError, ValueError)) and str(e) else f"{type(e).__name__}: {e}"
-        found["refused"] = words
+        is_sentence = isinstance(e, (AssertionError, ValueError)) and str(e)
+        found["refused"] = str(e) if is_sentence else f"{_ALONE}{type(e).__name__}: {e}"
     path.with_suffix(".json").write_text(json.dumps(found), encoding="utf-8")
     return 0
 
@@ -67,7 +71,7 @@ def _checked(job: CheckJob) -> dict[str, str]:
     key = code_key(rule)
     refuse_undeclared(rule, key.files)
     paths = [*option_paths(rule, job.options).values(), *key.files]
-    confine([*SYSTEM_FOLDERS, *filter(None, sys.path), cache_folder(), *paths])
+    confine([*SYSTEM_FOLDERS, *filter(is_installed, sys.path), cache_folder(), *paths])
     with _clock_is_watched(job.name), only_declared(job.name, paths):
         check_rule(rule, options=job.options, extra=extra)
     if changes := changes_since(libraries):
@@ -114,7 +118,7 @@ class _clock_is_watched:
         is_clock = (module == "time" and name not in ("sleep", "strftime", "gmtime")) or (
             module in ("datetime", "date") and name in ("now", "utcnow", "today")
         )
-        if is_clock and not is_library(frame.f_globals.get("__name__") or "__main__"):
+        if is_clock and not is_library_namespace(frame.f_globals):
             self._asked = f"{module}.{name}"
 
 

@@ -14,6 +14,7 @@ import torch
 
 from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
+from ..data.adjust.repair import SequenceView
 from ..data.room import RoomSequence
 from ..mapping import Mapper, StepReport, make_mapper
 from ..runs import MappingRun
@@ -23,7 +24,7 @@ from ..seeding.code_key import code_key, differing
 from ..seeding.rule import option_paths
 from ..seeding.rule_code import refuse_undeclared
 from ..seeding.rule_guard import only_declared
-from ..types import Seeds
+from ..types import Frame, Seeds
 from ..work import PeakMemory
 from .schedule import dotted, fixed_schedule, flat_settings, with_settings
 from .spec import ONLY_NOW, RunSpec
@@ -183,6 +184,8 @@ def map_scene(
         Exception: whatever the rule or the data raises.
     """
     sequence = entry.opened()
+    if not is_built_in(original(entry.found_rule())):
+        sequence = dataclasses.replace(sequence, mapping=_PrivateFrames(**vars(sequence.mapping)))
     config = _paced(config, sequence)
     _warm_up(sequence, config, entry.spec.device)
     memory = PeakMemory("cuda" if entry.spec.device.startswith("cuda") else "cpu")
@@ -297,6 +300,15 @@ def _asked(mapper: Mapper, n_mapped: int) -> list[str]:
         return []
     n = sum(when.is_due(i, None, stride=stride) for i in range(n_mapped))
     return [f"asked every {when.frames} frames of the recording, here in {n} of {n_mapped} mapped frames"]
+
+
+class _PrivateFrames(SequenceView):
+    """The frames of a run, whose images no other run has: what a rule does to them stays there."""
+
+    def __getitem__(self, i: int) -> Frame:
+        frame = super().__getitem__(i)
+        images = {name: getattr(frame, name).clone() for name in ("colour", "depth_m", "T_WC")}
+        return dataclasses.replace(frame, **images, extra={name: x.clone() for name, x in frame.extra.items()})
 
 
 def _warm_up(sequence: OpenedSequence, config: SystemConfig, device: str) -> None:

@@ -30,7 +30,7 @@ from ..evaluation import (
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import write_file
 from ..seeding import is_built_in, rule_name, rule_source
-from ..seeding.rule_code import file_source
+from ..seeding.rule_code import RULE_MODULES, beside_sources, file_source
 from ..types import Mesh
 from ..work import MAP_MEMORY
 from .mapping_run import MappingRun
@@ -55,6 +55,7 @@ FILES = {
     "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
     "metrics.json": "all metrics, and one row per frame",
     "rule.py": "source of the seeding rule, if it is not part of the package",
+    "rule_modules": "modules that rule.py imports from beside it",
     "views.json": "the scored views and their poses: gsfusion-nb eval scores them again",
 }
 
@@ -153,12 +154,15 @@ def hash_of(tensors: Mapping[str, Tensor], order: Tensor | None = None) -> str:
 def write_rule(run: MappingRun, folder: Path) -> None:
     """Write the source of a seeding rule that is not part of the package; it is needed to repeat the run.
 
-    Of a rule that was given as FILE.py:name it is the whole file, which a resumed run uses.
+    Of a rule that was given as FILE.py:name it is the whole file, with the modules that it imports from beside it,
+    which a resumed run uses.
     """
     rule = run.mapper.rule
     if not is_built_in(rule):
         unknown = "# unknown: the rule was not defined in a file or a notebook cell"
         write_file(folder / RULE, file_source(rule) or rule_source(rule) or unknown)
+        for name, content in beside_sources(rule).items():
+            write_file(folder / RULE_MODULES / name, content)
 
 
 def _write_trajectory(run: MappingRun, folder: Path) -> None:

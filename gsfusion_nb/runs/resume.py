@@ -10,7 +10,7 @@ from ..export import CheckpointStore
 from ..files import UNREADABLE, SequenceError, file_hashes, read_text, reason_of
 from ..mapping import get_system
 from ..seeding import SeedingRule
-from ..seeding.rule_code import MOST_BYTES, is_rule_file, read_rule_file, rule_of_source
+from ..seeding.rule_code import MOST_BYTES, RULE_MODULES, is_rule_file, read_rule_file, rule_of_source
 from .mapping_run import MappingRun
 from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, unpacked
 from .stream_run import StreamRun
@@ -75,7 +75,7 @@ def _rule_of(path: Path, document: dict[str, Any], given: "str | SeedingRule | N
     name = document["mapper"]["rule"]["name"]
     stored = read_text(path / RULE, "the seeding rule of a run", at_most=MOST_BYTES)
     if given is None:
-        return rule_of_source(stored, name, str(path / RULE))
+        return rule_of_source(stored, name, str(path / RULE), path / RULE_MODULES)
     if isinstance(given, str) and is_rule_file(given) and read_rule_file(given) != (stored, name):
         raise SequenceError(
             f"{given} is not the seeding rule with which the run in {path} began: the run's own is in {path / RULE}; "
@@ -98,6 +98,12 @@ def _run_of(
         )
     rule, system = _rule_of(path, document, seeding), get_system(document["system"])
     mapper = system.from_state_dict(document["mapper"], seeding=rule, device=device, **given)
+    changes = mapper.rule_in_use.difference(document["mapper"]["rule"])
+    if seeding is None and changes:
+        raise SequenceError(
+            f"the seeding rule is not as it was when {path} began; different: {changes}. Restore it, or continue with "
+            "the rule as it is now by naming it (seeding.rule)"
+        )
     if "stream" in source:
         return StreamRun.after_a_kill(source, mapper, state)
     then = unpacked(state["data_files"])

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ..files import DiskFullError, read_object, remove_partial, try_lock
 from ..mapping import Mapper, StepReport
+from ..seeding.rule_code import RULE_MODULES
 
 LOCK = ".lock"
 METRICS = "metrics.json"
@@ -84,7 +85,7 @@ def new_folder(name: str, folder: Path | str | None = None) -> Path:
 def holds_nothing(path: Path) -> bool:
     """Whether the folder holds only what a run writes before its first checkpoint."""
     names = {p.name for p in path.iterdir() if ".partial" not in p.name}
-    return names <= {LOCK, RULE, CHECKPOINTS} and not any((path / CHECKPOINTS).glob("*.json"))
+    return names <= {LOCK, RULE, RULE_MODULES, CHECKPOINTS} and not any((path / CHECKPOINTS).glob("*.json"))
 
 
 def is_complete(folder: Path) -> bool:

@@ -29,7 +29,7 @@ RULE_SOURCE = "__rule_source__"
 BESIDE = "__beside__"
 """Name in a module that was loaded for a rule's file: the finder of the modules beside that file."""
 _OWN = __name__.partition(".")[0]
-_CHECKS_TYPES = "jaxtyping"
+CHECKS_TYPES = "jaxtyping"
 """Beginning of the names of modules that put checks of types around functions, and change nothing else."""
 _ATOMS = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis), type(NotImplemented))
 _DESCRIPTORS = (
@@ -54,7 +54,7 @@ def is_library(module: str) -> bool:
     if module == "__main__":  # a notebook, or a script
         return False
     top = module.partition(".")[0]
-    if top in (_OWN, *sys.stdlib_module_names) or not module or top.startswith(_CHECKS_TYPES):
+    if top in (_OWN, *sys.stdlib_module_names) or not module or top.startswith(CHECKS_TYPES):
         return True
     known = sys.modules.get(module) or sys.modules.get(top)
     if known is not None:
@@ -85,7 +85,7 @@ def is_library_module(module: types.ModuleType) -> bool:
     name = getattr(module, "__name__", "")
     if name == "__main__":
         return False
-    if name.startswith(_CHECKS_TYPES):
+    if name.startswith(CHECKS_TYPES):
         return True
     if name.partition(".")[0] in (_OWN, *sys.stdlib_module_names) and sys.modules.get(name) is module:
         return True
@@ -94,10 +94,19 @@ def is_library_module(module: types.ModuleType) -> bool:
 
 def is_library_code(function: types.FunctionType) -> bool:
     """Whether a function was written in a library: the module that it looks up its names in is one."""
-    home = home_of(function)
-    return (
-        is_library_module(home) if home is not None else is_library(function.__globals__.get("__name__") or "__main__")
-    )
+    return is_library_namespace(function.__globals__)
+
+
+def is_library_namespace(names: Mapping[str, Any]) -> bool:
+    """Whether the names of a module are those of a library's; by its file, since two modules may share a name."""
+    name = names.get("__name__") or "__main__"
+    top = name.partition(".")[0]
+    if name == "__main__" or LOADED_SOURCE in names:
+        return False
+    if top in (_OWN, *sys.stdlib_module_names) or top.startswith(CHECKS_TYPES):
+        return True
+    file = names.get("__file__")
+    return is_installed(file) if isinstance(file, str) else is_library(name)
 
 
 _homes: dict[int, types.ModuleType] = {}

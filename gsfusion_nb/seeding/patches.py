@@ -20,6 +20,8 @@ _CALLED = (
     types.FunctionType, types.BuiltinFunctionType, types.MethodDescriptorType, types.MethodType, type, property,
     classmethod, staticmethod, functools.partial,
 )  # fmt: skip
+_PACKAGE = __name__.partition(".")[0]
+_NOTHING = object()
 _AROUND_FUNCTIONS = (types.MethodType, staticmethod, classmethod, functools.partial, property)
 _HOOKS = {"builtins._", "builtins.display", "builtins.get_ipython"}
 """What interactive programs set, and no computation reads."""
@@ -90,15 +92,17 @@ def changes_since(state: list[Namespace]) -> list[str]:
 
 
 def _is_change(before: Namespace, key: str, value: Any) -> bool:
-    if key.startswith("__"):
+    if key.startswith("__") or issubclass(type(value), types.ModuleType):
         return False
+    if before.name.startswith(_PACKAGE) and before.names.get(key, _NOTHING) is not value:
+        return True
     bases = before.owner.__mro__[1:] if isinstance(before.owner, type) else ()
     inherited = next((vars(base)[key] for base in bases if key in vars(base)), value)  # a new name of a module is lazy
     was = before.names.get(key, inherited)
     if was is value:
         return False
-    if isinstance(value, _CALLED):
-        return isinstance(was, _CALLED)
+    if issubclass(type(value), _CALLED):
+        return issubclass(type(was), _CALLED)
     is_number = type(value) in (int, float, str, bool, tuple)
     return is_number and type(was) is type(value) and not key.startswith("_") and value != was
 

@@ -99,6 +99,8 @@ def path_hash(path: Path) -> str:
 
 
 MOST_BYTES = 1_000_000
+RULE_MODULES = "rule_modules"
+"""Folder, in that of a run, of the modules that the file of its rule imports from beside it."""
 
 
 def is_rule_file(text: str) -> bool:
@@ -132,8 +134,10 @@ def load_rule_file(text: str) -> SeedingRule:
 
 
 def rule_folder(text: str) -> Path:
-    """The folder of the file that "FILE.py:name" names."""
-    return Path(text.rpartition(":")[0]).expanduser().resolve().parent
+    """The folder of the modules beside the file that "FILE.py:name" names; in the folder of a run it is another one."""
+    file = Path(text.rpartition(":")[0]).expanduser().resolve()
+    of_a_run = file.parent / RULE_MODULES
+    return of_a_run if file.name == "rule.py" and of_a_run.is_dir() else file.parent
 
 
 def rule_of_source(source: str, name: str, file: str = "rule.py", folder: Path | None = None) -> SeedingRule:

@@ -6,6 +6,7 @@ Python tells what it opens and starts (audit events, PEP 578). What compiled cod
 import contextlib
 import functools
 import importlib.util
+import itertools
 import os
 import sys
 import tempfile
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..files import cache_folder
-from .code_values import is_library
+from .code_values import CHECKS_TYPES, is_library_namespace
 from .installed import is_installed
 
 _PACKAGE = __name__.partition(".")[0]
@@ -27,6 +28,8 @@ _COMPILERS = {"torch", "triton", "numba"}
 """Libraries that start a compiler for the code that they are given."""
 _PROGRAMS = {"subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.startfile", "pty.spawn"}
 _NETWORK = {"socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "socket.sendto", "urllib.Request"}
+_READING = {"os", "_collections_abc", "collections.abc"}
+"""Modules through which the environment is read."""
 _OF_THE_USER = {"posixpath", "ntpath", "tempfile"}
 """Modules that look up the user's folders in the environment; what is read there is looked at by itself."""
 _FOLDERS = {"os.listdir", "os.scandir", "glob.glob", "os.walk", "glob.glob/2"}
@@ -59,13 +62,16 @@ class _Watch:
             self._refuse(f"starts a program ({_words(arguments[:1])})", "compute in the rule, or give it the result")
         elif event in _NETWORK and not _is_for_package():
             self._refuse(f"uses the network ({_words(arguments[-1:])})", "load it before, as a file")
-        elif event == "_thread.start_new_thread" and _caller() == "":
+
+    def thread(self) -> None:
+        """A thread is started, in which nothing would be noticed."""
+        if not _is_for_package() and _caller() not in _COMPILERS:
             self._refuse("starts a thread", "compute in the rule's own thread")
 
     def environment(self, name: str) -> None:
         """The environment variable ``name`` is read."""
-        asker = sys._getframe(2).f_globals.get("__name__")
-        if _caller() == "" and asker not in _OF_THE_USER:
+        askers = itertools.islice((name for name, _ in _frames() if name not in _READING), 1)
+        if _caller() == "" and _OF_THE_USER.isdisjoint(askers):
             self._refuse(f"reads the environment variable {name}", f'make it an option: {name.lower()}: str = "..."')
 
     def _opened(self, file: Any, _mode: Any, flags: Any) -> None:
@@ -76,7 +82,7 @@ class _Watch:
             self.written.add(path)
         if not path or path in self.written or _is_for_package():
             return
-        opener = sys._getframe(4).f_globals.get("__name__")
+        opener = _asker()
         if opener == "tokenize":  # the source of a function, for a message
             return
         is_import = opener in _IMPORT
@@ -128,34 +134,45 @@ def _words(arguments: tuple[Any, ...]) -> str:
     return " ".join(str(a) for a in arguments)[:200]
 
 
+def _frames() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Name and names of the modules on the stack, the nearest first, from where this one was called."""
+    frame: Any = sys._getframe(1)
+    is_ours = True
+    while frame is not None:
+        name = frame.f_globals.get("__name__") or ""
+        is_ours = is_ours and (name == __name__ or name.startswith(CHECKS_TYPES))
+        if not is_ours:
+            yield name, frame.f_globals
+        frame = frame.f_back
+
+
+def _asker() -> str:
+    """Name of the module whose code made the call itself."""
+    return next((name for name, _ in _frames()), "")
+
+
 def _caller() -> str:
     """Name of the package whose function asked for it: the nearest on the stack that is not Python's own; empty for
     somebody's own code."""
-    frame: Any = sys._getframe(2)
-    while frame is not None:
-        name = frame.f_globals.get("__name__") or ""
+    for name, names in _frames():
         top = name.partition(".")[0]
-        if name != __name__ and top not in sys.stdlib_module_names:
-            return top if is_library(name) else ""
-        frame = frame.f_back
+        if top not in sys.stdlib_module_names:
+            return top if is_library_namespace(names) else ""
     return "python"
 
 
 def _is_for_package() -> bool:
     """Whether this package asked for it, through whatever library, and not the rule's own code."""
-    frame: Any = sys._getframe(2)
-    while frame is not None:
-        name = frame.f_globals.get("__name__") or ""
-        if name.startswith(f"{_PACKAGE}.") and name != __name__:
+    for name, names in _frames():
+        if name.startswith(f"{_PACKAGE}."):
             return True
-        if not is_library(name):
+        if not is_library_namespace(names):
             return False
-        frame = frame.f_back
     return True
 
 
 _now = threading.local()
-_environment = threading.RLock()
+_patching = threading.RLock()
 
 
 def _watch() -> _Watch | None:
@@ -180,22 +197,30 @@ def _tell(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 @contextlib.contextmanager
-def _environment_watched(watch: _Watch) -> Iterator[None]:
-    """Tell ``watch`` of the variables that are read in this thread."""
+def _calls_watched(watch: _Watch) -> Iterator[None]:
+    """Tell ``watch`` of the variables that are read, and the threads that are started, in this thread."""
     kind: Any = type(os.environ)
     read = kind.__getitem__
+    start = threading.Thread.start
 
     def tell(environ: Any, name: Any) -> Any:
         if _watch() is watch:
             watch.environment(os.fsdecode(name))
         return read(environ, name)
 
-    with _environment:
+    def tell_of_thread(thread: threading.Thread) -> None:
+        if _watch() is watch:
+            watch.thread()
+        start(thread)
+
+    with _patching:
         kind.__getitem__ = tell
+        threading.Thread.start = tell_of_thread
         try:
             yield
         finally:
             kind.__getitem__ = read
+            threading.Thread.start = start
 
 
 @contextlib.contextmanager
@@ -205,7 +230,7 @@ def noted(rule: str, paths: Iterable[Path] = ()) -> Iterator[_Watch]:
     tempfile.gettempdir()  # which reads the environment, once
     watch = _Watch(rule, paths)
     before = _watch()
-    with _environment_watched(watch):
+    with _calls_watched(watch):
         _now.watch = watch
         try:
             yield watch

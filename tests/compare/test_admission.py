@@ -1,0 +1,281 @@
+"""Each entrant is checked in a fresh process before it counts, once; nothing that it does reaches other rules."""
+
+import dataclasses
+import json
+
+import pytest
+import torch
+
+from gsfusion_nb.compare import Entrant, admission, run_all
+from gsfusion_nb.compare.admission import Admission
+from gsfusion_nb.compare.executors import Task, do_sent_task
+from gsfusion_nb.compare.fresh_check import _clock_is_watched, confine
+from gsfusion_nb.compare.map_scene import Entry
+from gsfusion_nb.compare.one_run import run_entry
+from gsfusion_nb.compare.run_all import ResultStore
+from gsfusion_nb.mapping import SYSTEMS, GSFusion
+
+RULES = """
+import datetime
+import os
+import random
+import threading
+import time
+
+import cv2
+import numpy as np
+import torch
+
+import beside
+
+COUNT = {"n": 0}
+LOCK = threading.Lock()
+
+
+class Kept:
+    n = 0
+
+
+def every(ctx, step):
+    return ctx.seeds_at(ctx.pixels()[::step], 1.0)
+
+
+def plain(ctx):
+    return every(ctx, beside.STEP)
+
+
+def unhashable(ctx):
+    with LOCK:
+        return every(ctx, 9)
+
+
+def clock(ctx):
+    return every(ctx, 9 if time.time() > 0 else 7)
+
+
+def today(ctx):
+    return every(ctx, 9 if datetime.datetime.now().year > 2000 else 7)
+
+
+def torch_rand(ctx):
+    return every(ctx, 8 + int(torch.rand(1) > 0.5))
+
+
+def numpy_rand(ctx):
+    return every(ctx, 8 + int(np.random.rand() > 0.5))
+
+
+def python_rand(ctx):
+    return every(ctx, 8 + int(random.random() > 0.5))
+
+
+def counter(ctx):
+    COUNT["n"] += 1
+    return every(ctx, 9 if COUNT["n"] < 10**6 else 7)
+
+
+def class_counter(ctx):
+    Kept.n += 1
+    return every(ctx, 9 if Kept.n < 10**6 else 7)
+
+
+def library_counter(ctx):
+    type(ctx).n = getattr(type(ctx), "n", 0) + 1
+    return every(ctx, 9)
+
+
+def patch(ctx):
+    type(ctx).normals = type(ctx).grey
+    return every(ctx, 9)
+
+
+def switch(ctx):
+    torch.set_float32_matmul_precision("high")
+    return every(ctx, 9)
+
+
+def writes(ctx):
+    depth_m = ctx.frame.depth_m
+    depth_m[depth_m > 1] = 0
+    return every(ctx, 9)
+
+
+def writes_late(ctx):
+    if ctx.frame.index > 3:
+        ctx.frame.depth_m.numpy()[:] = 0
+    return every(ctx, 9)
+
+
+def environment(ctx):
+    return every(ctx, int(os.environ.get("STEP", "9")))
+
+
+def picture(ctx):
+    return every(ctx, int(cv2.imread("{picture}").mean()))
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    """``FILE.py`` of the rules, with a module beside it."""
+    (tmp_path / "beside.py").write_text("STEP = 9\n")
+    (tmp_path / "rules.py").write_text(RULES.replace("{picture}", str(tmp_path / "nine.png")))
+    return tmp_path / "rules.py"
+
+
+@pytest.fixture
+def entry(spec, file):
+    """``entry(name)``: a run of one of the rules on the small scene."""
+    plain = spec()
+    fields = {name: getattr(plain, name) for name in ("scene", "data", "settings")}
+    return lambda name, **more: Entrant(f"{file}:{name}").entry(**fields, **more)
+
+
+def only(runs):
+    ((_, result),) = runs
+    return result
+
+
+def test_a_rule_is_checked_once_in_a_process_of_its_own(fresh_checks, entry, tmp_path, monkeypatch):
+    folder = tmp_path / "checks"
+    assert admission.admission(entry("plain"), folder) == Admission()
+    assert admission.admission(Entry(spec=entry("plain").spec), folder) == Admission()
+    monkeypatch.setattr(admission, "_run", lambda *_: pytest.fail("it was checked before"))
+    assert admission.admission(entry("plain"), folder) == Admission()
+
+
+def test_what_the_check_refuses_is_a_row_that_failed(fresh_checks, entry, tmp_path):
+    result = only(run_all.run_all([entry("clock")], ResultStore(tmp_path / "cache")))
+    assert (result.status, "asks for the time (time.time)" in result.reason) == ("failed", True)
+
+
+REFUSED = {
+    "today": "asks for the time",
+    "torch_rand": "global generator",
+    "numpy_rand": "gave other seeds|different seeds",
+    "python_rand": "gave other seeds|different seeds",
+    "counter": "keeps something from one frame to the next",
+    "class_counter": "keeps something from one frame to the next",
+    "library_counter": r"changes gsfusion_nb\.seeding\.context\.SeedContext\.n for everybody",
+    "patch": r"changes gsfusion_nb\.seeding\.context\.SeedContext\.normals for everybody",
+    "switch": "changes a setting of the whole process: matmul precision",
+    "writes": r"changed frame\.depth_m in place",
+    "environment": "reads the environment variable STEP",
+}
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("name", "reason"), REFUSED.items(), ids=REFUSED)
+def test_the_check_refuses(fresh_checks, entry, tmp_path, name, reason):
+    import re
+
+    assert re.search(reason, admission.admission(entry(name), tmp_path / "checks").refused)
+
+
+@pytest.mark.ci
+def test_what_compiled_code_reads_is_refused_where_the_system_can(fresh_checks, entry, tmp_path):
+    import subprocess
+    import sys
+
+    import cv2
+    import numpy as np
+
+    cv2.imwrite(str(tmp_path / "nine.png"), np.full((4, 4), 9, np.uint8))
+    can = "import sys; from gsfusion_nb.compare.fresh_check import confine; sys.exit(not confine([sys.prefix, '/usr']))"
+    if subprocess.run([sys.executable, "-c", can], check=False).returncode:
+        pytest.skip("this system has no Landlock")
+    assert "which can read only the files" in admission.admission(entry("picture"), tmp_path / "checks").refused
+
+
+def test_the_clock_of_own_code_is_noticed_and_that_of_libraries_is_not():
+    import time
+
+    with pytest.raises(ValueError, match=r"asks for the time \(time\.perf_counter\)"), _clock_is_watched("mine"):
+        time.perf_counter()
+    with _clock_is_watched("mine"):
+        torch.ones(3).sum()
+
+
+def test_without_landlock_nothing_is_confined(monkeypatch):
+    monkeypatch.setattr("sys.platform", "darwin")
+    assert not confine([])
+
+
+def test_a_rule_that_cannot_be_hashed_is_run_each_time_and_says_so(entry, tmp_path):
+    store = ResultStore(tmp_path / "cache")
+    results = [only(run_all.run_all([entry("unhashable")], store)) for _ in range(2)]
+    assert [result.status for result in results] == ["done", "done"]
+    assert results[0].map_hash == results[1].map_hash
+    assert results[0].key != results[1].key
+    assert [result.copied_from for result in results] == ["", ""]
+    assert "global LOCK is a lock, which cannot be hashed" in results[0].notes[0]
+    assert not list((tmp_path / "cache" / "results").iterdir())
+
+
+def test_a_rule_whose_key_is_another_in_every_process_is_not_kept(entry, tmp_path, monkeypatch):
+    other = {"refused": "", "code": {"values": "of another process"}}
+    monkeypatch.setattr(admission, "_run", lambda *_: other)
+    monkeypatch.setattr(run_all, "admission", admission.admission)
+    store = ResultStore(tmp_path / "cache")
+    results = [only(run_all.run_all([entry("plain")], store)) for _ in range(2)]
+    assert "is not the same in every process" in results[1].notes[0]
+    assert results[0].key != results[1].key
+
+
+def test_a_rule_that_writes_into_a_frame_fails_and_spoils_no_other(entry, spec, tmp_path):
+    """Also late, in the middle of a run, and past torch."""
+    clean = run_entry(Entry(spec=spec("uniform", seed=5))).map_hash
+    for name in ("writes", "writes_late"):
+        result = run_entry(entry(name))
+        assert (result.status, "changed frame.depth_m in place" in result.reason) == ("failed", True)
+    assert run_entry(Entry(spec=spec("uniform", seed=5))).map_hash == clean
+
+
+def test_a_process_that_loaded_an_older_module_refuses(entry, file):
+    """A Dask worker: the files are those of the comparison, but what it has loaded is not."""
+    import sys
+
+    made = entry("plain")
+    task = Task(kind="run", spec=made.spec, backend="auto")
+    assert do_sent_task(task).result.status == "done"
+    module = sys.modules[made.found_rule().__module__]
+    module.__dict__["beside"].STEP = 7
+    result = do_sent_task(task).result
+    assert (result.status, "code or values as loaded" in result.reason) == ("failed", True)
+    module.__dict__["beside"].STEP = 9
+    (file.parent / "beside.py").write_text("STEP = 8\n")
+    result = do_sent_task(task).result
+    assert (result.status, "file beside" in result.reason) == ("failed", True)
+
+
+def test_a_sweep_sees_a_changed_helper_and_changed_weights(file, scene, tmp_path):
+    from gsfusion_nb.compare.studies import RecordingOptions, recording_specs
+
+    options = RecordingOptions(set=("data.hold_out_every=4", "data.hold_out_offset=2"))
+    keys = []
+    for step in (9, 9, 7):
+        (file.parent / "beside.py").write_text(f"STEP = {step}\n")
+        (one,) = recording_specs({"mine": {"seeding.rule": f"{file}:plain"}}, options, str(scene))
+        keys.append(one.key)
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_a_system_of_ones_own_is_part_of_the_key(spec, monkeypatch):
+    keys = []
+    for share in (1, 1, 2):
+
+        class Mine(GSFusion):
+            SHARE = share
+
+        monkeypatch.setitem(SYSTEMS, "mine", Mine)
+        one = spec(system="mine")
+        keys.append(one.with_code(one.found_rule()).key)
+    assert keys[0] == keys[1] != keys[2]
+    assert spec(system="gsfusion").key not in keys
+
+
+def test_where_the_file_lies_is_no_part_of_the_key(entry):
+    made = entry("plain").spec
+    moved = dataclasses.replace(made, rule_folder="/elsewhere")
+    assert moved.key == made.key
+    assert json.loads(json.dumps(made.to_json())) == made.to_json()
