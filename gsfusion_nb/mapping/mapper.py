@@ -23,6 +23,7 @@ from ..gaussians import GaussianModel
 from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose, params_now, take_missed_steps
 from ..render import Boxes, drawn_in_part, render
 from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, move_memory, rule_name
+from ..seeding.apply import ChangedInputError
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
@@ -452,8 +453,13 @@ class Mapper(ABC):
             )
         if not self.rule_is_due(is_keyframe):
             return Seeds.empty(context.frame.depth_m)
-        with self.rule_in_use.watched():
-            return apply_rule(self.rule, context, self.config.seeding.options, **checks)
+        try:
+            with self.rule_in_use.watched():
+                return apply_rule(self.rule, context, self.config.seeding.options, **checks)
+        except ChangedInputError as e:
+            if not e.what.startswith("frame."):  # which is as it was
+                self.guard.half_mapped = f"the map was changed by its seeding rule {rule_name(self.rule)!r} ({e.what})"
+            raise
 
     def rule_is_due(self, is_keyframe: bool | None) -> bool:
         """Whether the rule is asked in the frame that is mapped next (``MapRule.when``)."""

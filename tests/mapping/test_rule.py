@@ -10,6 +10,7 @@ import torch
 from gsfusion_nb.config import GSFusionConfig, RtgSlamConfig, gsfusion, replace, rtg_slam
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.mapping.rule import settings_with_rule
+from gsfusion_nb.mapping.step import HalfMappedError
 from gsfusion_nb.seeding import (
     MapRule,
     SeedContext,
@@ -19,6 +20,7 @@ from gsfusion_nb.seeding import (
     get_rule,
     submaps,
 )
+from gsfusion_nb.seeding.apply import ChangedInputError
 
 
 @pytest.fixture
@@ -42,6 +44,31 @@ def test_the_settings_hold_the_rule_and_the_options_in_use(config):
     neither = replace(own, seeding__options={"speed": 5})
     assert settings_with_rule(neither, every_nth).seeding.options == {"speed": 5}  # refused by the first frame
     assert settings_with_rule(own, get_rule("rtg_slam")) == own
+
+
+def test_a_rule_that_changes_the_map_ends_it(config, frames):
+    def shrinks(ctx: SeedContext) -> Seeds:
+        if len(ctx.map):
+            ctx.gaussians.params.log_scale.sub_(1.0)
+        return ctx.cells()
+
+    mapper = GSFusion(config, seeding=shrinks)
+    mapper.step(frames[0])
+    with pytest.raises(ChangedInputError, match=r"'shrinks' changed map\.log_scale in place"):
+        mapper.step(frames[1])
+    with pytest.raises(HalfMappedError, match="the map was changed by its seeding rule 'shrinks'"):
+        mapper.step(frames[1])
+
+
+def test_a_rule_that_changes_the_frame_leaves_it_as_it_was(config, frames):
+    def blinds(ctx: SeedContext) -> Seeds:
+        ctx.frame.depth_m[ctx.frame.depth_m > 2] = 0
+        return ctx.cells()
+
+    mapper, depth_m = GSFusion(config, seeding=blinds), frames[0].depth_m.clone()
+    with pytest.raises(ChangedInputError, match=r"frame\.depth_m"):
+        mapper.step(frames[0])
+    assert torch.equal(frames[0].depth_m, depth_m)
 
 
 def test_a_rule_that_keeps_something_cannot_be_resumed(config, frames):
