@@ -74,7 +74,7 @@ def _checked(job: CheckJob) -> dict[str, str]:
     confine([*SYSTEM_FOLDERS, *filter(is_installed, sys.path), cache_folder(), *paths])
     with _clock_is_watched(job.name), only_declared(job.name, paths):
         check_rule(rule, options=job.options, extra=extra)
-    if changes := changes_since(libraries):
+    if changes := changes_since(libraries, all_of_package=True):
         raise ValueError(
             f"the seeding rule {job.name!r} changes {', '.join(changes[:3])} for everybody; a rule may not change "
             "what it imports: write a function of its own"

@@ -81,20 +81,25 @@ def library_state(*libraries: str) -> list[Namespace]:
     ]
 
 
-def changes_since(state: list[Namespace]) -> list[str]:
-    """Names in libraries whose function, class or number is another one than it was, sorted."""
+def changes_since(state: list[Namespace], *, all_of_package: bool = False) -> list[str]:
+    """Names in libraries whose function, class or number is another one than it was, sorted.
+
+    Args:
+        state: What ``library_state`` gave.
+        all_of_package: Of this package every name that is new, or has any other value.
+    """
     return sorted(
         f"{before.name}.{key}"
         for before in state
         for key, value in list(vars(before.owner).items())
-        if _is_change(before, key, value)
+        if _is_change(before, key, value, all_of_package)
     )
 
 
-def _is_change(before: Namespace, key: str, value: Any) -> bool:
+def _is_change(before: Namespace, key: str, value: Any, all_of_package: bool) -> bool:
     if key.startswith("__") or issubclass(type(value), types.ModuleType):
         return False
-    if before.name.startswith(_PACKAGE) and before.names.get(key, _NOTHING) is not value:
+    if all_of_package and before.name.startswith(_PACKAGE) and before.names.get(key, _NOTHING) is not value:
         return True
     bases = before.owner.__mro__[1:] if isinstance(before.owner, type) else ()
     inherited = next((vars(base)[key] for base in bases if key in vars(base)), value)  # a new name of a module is lazy

@@ -34,3 +34,8 @@ def _entrants_are_trusted(request, monkeypatch):
 @pytest.fixture
 def fresh_checks():
     """Entrants are checked in a fresh process, as in every comparison."""
+
+
+@pytest.fixture
+def same_torch_everywhere():
+    """This process has torch as other processes have it, so that they have the same key."""

@@ -40,7 +40,7 @@ def test_a_cluster_gives_the_numbers_of_this_process(distributed, spec, tmp_path
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_changes_no_number(distributed, spec, tmp_path):
+def test_a_worker_that_is_killed_changes_no_number(distributed, same_torch_everywhere, spec, tmp_path):
     entries = [Entry(spec=spec(rule, seed=seed)) for rule in ("uniform", "gsfusion", "dense") for seed in range(4)]
     here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
     cluster = distributed.LocalCluster(n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None)
@@ -55,7 +55,9 @@ def test_a_worker_that_is_killed_changes_no_number(distributed, spec, tmp_path):
     assert {i: numbers(r) for i, r in there.items()} == {i: numbers(r) for i, r in here.items()}
 
 
-def test_a_cluster_that_loses_its_last_worker_ends_with_a_sentence(distributed, spec, tmp_path, monkeypatch, capsys):
+def test_a_cluster_that_loses_its_last_worker_ends_with_a_sentence(
+    distributed, same_torch_everywhere, spec, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(executors, "NO_WORKER_S", 0.5)
     monkeypatch.setattr(executors, "_LOOK_S", 0.1)
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
@@ -107,7 +109,7 @@ def scheduler(distributed, started, tmp_path):
 
 @pytest.mark.slow
 def test_two_workers_with_caches_of_their_own_compute_what_this_process_computes(
-    distributed, spec, tmp_path, started, scheduler
+    distributed, same_torch_everywhere, spec, tmp_path, started, scheduler
 ):
     entries = [Entry(spec=spec(rule, seed=seed)) for rule in ("uniform", "gsfusion", "edge_strokes") for seed in (0, 1)]
     here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))

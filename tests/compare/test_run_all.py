@@ -148,7 +148,7 @@ def test_it_is_said_how_many_runs_will_be_computed(spec, tmp_path, capsys):
 
 
 @pytest.mark.ci
-def test_processes_give_the_same_numbers(entries, tmp_path):
+def test_processes_give_the_same_numbers(same_torch_everywhere, entries, tmp_path):
     with executor(2) as two:
         there = dict(run_all(entries, ResultStore(tmp_path / "cache a"), two))
     here = dict(run_all(entries, ResultStore(tmp_path / "cache b")))
@@ -157,7 +157,7 @@ def test_processes_give_the_same_numbers(entries, tmp_path):
 
 
 @pytest.mark.ci
-def test_a_process_that_dies_is_a_reason(spec, tmp_path):
+def test_a_process_that_dies_is_a_reason(same_torch_everywhere, spec, tmp_path):
     source = f"""import os
 
 def dies(ctx):

@@ -120,8 +120,18 @@ class Killed(BaseException):
 
 
 @pytest.fixture
-def killed(scene, tmp_path, monkeypatch):
+def killed(killed_with):
     """The folders of a run that was killed after its third frame of five, and of its recording."""
+    return killed_with(None)
+
+
+@pytest.fixture
+def killed_with(scene, tmp_path, monkeypatch):
+    """``killed_with(rule)``: the same with another seeding rule."""
+    return lambda rule: _killed(scene, tmp_path, monkeypatch, rule)
+
+
+def _killed(scene, tmp_path, monkeypatch, rule):
     from gsfusion_nb.runs import CheckpointEvery, map_sequence
 
     shutil.copytree(scene, tmp_path / "wall")
@@ -147,7 +157,7 @@ def killed(scene, tmp_path, monkeypatch):
         with pytest.raises(Killed):
             run_mapping(
                 tmp_path / "wall", config, folder=tmp_path / "run", evaluate=False, watch=Watch(),
-                checkpoints=CheckpointEvery(seconds=0, frames=1),
+                checkpoints=CheckpointEvery(seconds=0, frames=1), seeding=rule,
             )  # fmt: skip
     return tmp_path / "run", tmp_path / "wall"
 
@@ -199,6 +209,24 @@ def test_changed_data_are_refused_and_named(killed, change):
     with pytest.raises(SequenceError) as refused:
         resume_mapping(folder, evaluate=False)
     assert f"{wall}/{named}" in str(refused.value)
+
+
+def test_a_rule_goes_on_with_the_modules_beside_its_file_and_no_others(killed_with, tmp_path):
+    """They are in the run's folder; an edit there is another key, and is refused unless the rule is named."""
+    (tmp_path / "mine").mkdir()
+    helper = tmp_path / "mine" / "thin.py"
+    helper.write_text("STEP = 3\n")
+    file = helper.with_name("rules.py")
+    file.write_text("import thin\ndef thinned(ctx):\n    return ctx.cells()[:: thin.STEP]\n")
+    folder, _ = killed_with(f"{file}:thinned")
+    shutil.rmtree(helper.parent)
+    shutil.copytree(folder, tmp_path / "copy")
+    assert resume_mapping(folder, evaluate=False).run.status == "complete"
+    kept = tmp_path / "copy" / "rule_modules" / "thin.py"
+    assert kept.read_text() == "STEP = 3\n"
+    kept.write_text("STEP = 4\n")
+    with pytest.raises(SequenceError, match=r"not as it was when .* began; different: .*file thin"):
+        resume_mapping(tmp_path / "copy", evaluate=False)
 
 
 def test_the_same_data_go_on(killed):

@@ -686,7 +686,7 @@ SWAPS = {
 
 @pytest.mark.parametrize(("owner", "name", "value"), SWAPS.values(), ids=SWAPS)
 def test_a_name_of_a_library_that_leads_elsewhere_is_seen(monkeypatch, owner, name, value):
-    before = library_state("torch.", "math.", "gsfusion_nb.seeding.context")
+    before = library_state("torch.", "math.", "gsfusion_nb.seeding.context.")
     monkeypatch.setattr(owner, name, value)
     assert any(key.endswith(f".{name}") for key in changes_since(before))
 
