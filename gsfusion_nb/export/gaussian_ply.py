@@ -110,7 +110,7 @@ def read_gaussian_ply(path: str | Path, *, strict: bool = False, keep_place: boo
     with parsing(path, _WHAT), np.errstate(over="ignore"):
         place, moved_m = _places(data)
         table = {name: data[name].astype(np.float32) for name in names}
-    table |= dict(zip(PLACE, place.astype(np.float32).T, strict=True))
+        table |= dict(zip(PLACE, place.astype(np.float32).T, strict=True))
     if moved_m.any() and keep_place:
         raise SequenceError(
             f"{path} has places near ({', '.join(f'{v:.0f}' for v in moved_m)}), which float32 would round; expected "

@@ -207,6 +207,9 @@ def test_one_bad_row_leaves_the_others(tmp_path, generator, caplog):
         assert told in caplog.text
     with pytest.raises(ValueError, match=r"contains NaN or infinities, the first is x of row 1"):
         read_gaussian_ply(tmp_path / "g.ply", strict=True)
+    beyond = columns_of(gaussians(3, 0, generator))
+    beyond["x"][1] = 1e300  # infinite as float32
+    assert len(read_gaussian_ply(write_columns(tmp_path / "g.ply", beyond, dtype="f8"))) == 2
 
 
 @pytest.mark.parametrize(
