@@ -58,6 +58,7 @@ campaign: dev
 	$(BIN)/python -m pytest -m ci tests/course/test_nbgrader.py
 	GSNB_CAMPAIGN=1 $(BIN)/python -m pytest -m ci tests/browser/test_learners_path.py
 	$(BIN)/python -m pip install --quiet "cosmic-ray>=8.4" "coverage>=7.6"
+	$(BIN)/python -m pytest tests/campaign/test_mutants.py
 	$(BIN)/python tests/campaign/mutants.py --sample $(MUTANTS) --minutes $(MINUTES)
 
 # The tables in docs/ whose numbers are older than the code that they depend on, and the commands that measure them again.

@@ -120,14 +120,17 @@ def measured(tree: Path, folders: Sequence[str], kept: Path, scratch: Path):
 
 
 def moved_to(tree: Path, verdict: dict):
-    """The same mutant where its line is today, if it is anywhere."""
+    """The same mutant where its line is today, if it is anywhere; of any operator if none is named."""
     from mutant_sites import described, sites
 
     path = tree / verdict["file"]
     source = path.read_text("utf-8") if path.exists() else ""
+    lines = [" ".join(line.split()) for line in source.splitlines()]
     for site, kinds in sites(source).items():
+        if lines[site[0] - 1] not in verdict["original"]:
+            continue
         for operator, occurrence in kinds:
-            if operator == verdict["operator"]:
+            if operator == verdict.get("operator", operator):
                 mutant = described(verdict["file"], source, site, operator, occurrence)
                 if mutant.key == key_of(verdict):
                     yield mutant

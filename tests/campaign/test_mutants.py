@@ -166,7 +166,6 @@ def test_the_table_counts_a_listed_survivor_as_what_it_is():
 
 def test_every_listed_survivor_is_a_line_of_its_file_and_has_a_reason():
     """A line that is gone takes its entry with it."""
-    for (file, original, changed), entry in mutants.entries().items():
-        source = (mutants.ROOT / file).read_text("utf-8")
-        assert changed in changes(source).get(original, ()), (file, original, changed)
-        assert len(entry["reason"]) > 10
+    gone = [key for key, entry in mutants.entries().items() if not any(mutants.moved_to(mutants.ROOT, entry))]
+    assert gone == []
+    assert all(len(entry["reason"]) > 10 for entry in mutants.entries().values())

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gsfusion_nb import files as hashes
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import (
     apply_options,
@@ -16,7 +17,7 @@ from gsfusion_nb.data import (
     sequence_fingerprint,
 )
 from gsfusion_nb.data.room import room
-from gsfusion_nb.files import noting_files
+from gsfusion_nb.files import file_hashes, noting_files
 
 READERS = Path(__file__).parent / "readers"
 
@@ -156,3 +157,22 @@ def test_of_a_sequence_in_memory_the_pictures_count():
 
     a, b, c = (set(frame_fingerprints(apply_options(Listed(order)))) for order in ([0, 1], [1, 2], [2, 3]))
     assert [len(a & b), len(b & c), len(a & c)] == [1, 1, 0]
+
+
+def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
+    hashed, plain = [], hashes._hash
+    monkeypatch.setattr(hashes, "_hash", lambda path: hashed.append(path) or plain(path))
+    file, link = wall / "rgb/000000.png", wall / "link.png"
+    link.symlink_to(file)
+    first = file_hashes([file, link])
+    assert len(set(first.values())) == 1
+    assert len(hashed) == 2
+    file_hashes([file])
+    assert len(hashed) == 3  # changed less than two seconds ago: a second change might have the same time
+    monkeypatch.setattr(hashes, "_SETTLED_NS", -(10**18))
+    assert file_hashes([file]) == file_hashes([file]) == {str(file): first[str(file)]}
+    assert len(hashed) == 4
+    flip(file, 50)
+    assert file_hashes([file, wall / "none"]).values() != first.values()
+    assert len(hashed) == 5
+    assert file_hashes([wall / "none", wall]) == dict.fromkeys([str(wall / "none"), str(wall)], hashes.UNREADABLE)

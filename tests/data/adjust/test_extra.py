@@ -66,3 +66,9 @@ def test_a_rule_sees_labels_and_drops_a_class():
     with pytest.raises(KeyError, match=r"labels.*sigma"):
         apply_rule(not_labelled, SeedContext(Plain()[0]))
     check_rule(not_labelled, extra=lambda frame: {"labels": (frame.rgb[..., 0] > 0.5).int()})
+
+
+@pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.full((HEIGHT, WIDTH), np.nan)])
+def test_a_bad_extra_image_is_refused_with_its_name(bad):
+    with pytest.raises(ValueError, match="labels"):
+        _ = apply_options(Plain(), DataConfig(), lambda frame: {"labels": bad}).mapping[0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.config import DataConfig, RepairConfig
+from gsfusion_nb.config import DataConfig, RepairConfig, from_dict, to_dict
 from gsfusion_nb.config.parts import AXES, NAMED_AXES
 from gsfusion_nb.data import BadFrameError, SequenceError, folder, open_sequence, repaired
 from gsfusion_nb.data.adjust.poses import pose_between, reread_poses
@@ -175,3 +175,14 @@ def test_frames_left_out_keep_their_numbers(tmp_path, box):
     view = open_sequence(root, data=DataConfig(repair=RepairConfig(skip=(0, 3)), hold_out_every=2, hold_out_offset=0))
     assert [f.index for f in view.mapping] == [2, 5]
     assert [f.index for f in view.held_out] == [1, 4]
+
+
+def test_flags_name_what_differs():
+    repair = RepairConfig(depth_factor=0.2, poses="world_to_camera", fit_sizes=True, skip=(3, 4), fx=525.25)
+    assert repair.flags == (
+        "--data.repair.depth-factor 0.2 --data.repair.poses world_to_camera --data.repair.fit-sizes "
+        "--data.repair.fx 525.25 --data.repair.skip 3 4"
+    )
+    saved = to_dict(DataConfig(repair=repair))
+    saved["repair"]["skip"] = [3, 4]  # as JSON gives it back
+    assert from_dict(DataConfig, saved) == DataConfig(repair=repair)

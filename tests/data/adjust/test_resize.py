@@ -46,3 +46,12 @@ def test_area_average_and_nearest_depth(generator, size):
             weights.append(overlap / overlap.sum(dim=1, keepdim=True))
         expected = torch.einsum("ij,jkc,lk->ilc", weights[0], f.rgb, weights[1])
         assert torch.allclose(out.rgb, expected, atol=2e-6)
+
+
+def test_same_size_and_input_untouched(generator):
+    f = frame(6, 4, generator)
+    rgb, depth_m = f.rgb.clone(), f.depth_m.clone()
+    assert resize_frame(f, f.camera).rgb is f.rgb
+    resize_frame(f, f.camera.resized(3, 2))
+    assert torch.equal(f.rgb, rgb)
+    assert torch.equal(f.depth_m, depth_m)

@@ -94,3 +94,9 @@ def test_scene_folder_with_one_or_several_sequences(tmp_path, box):
     (tmp_path / "chess" / "seq-02").mkdir()
     with pytest.raises(SequenceError, match="chess holds several sequences; expected one of seq-01, seq-02"):
         seven_scenes(tmp_path / "chess")
+
+
+def test_calibration_is_a_rigid_transform_of_a_kinect():
+    R = T_DEPTH_COLOUR[:3, :3]
+    assert torch.allclose(R @ R.T, torch.eye(3, dtype=torch.float64), atol=1e-12)
+    assert 0.015 < float(T_DEPTH_COLOUR[:3, 3].norm()) < 0.03

@@ -159,3 +159,13 @@ def test_against_exhaustive_search():
         left = {p: d for p, d in left.items() if p[0] != i and p[1] != j}
     assert pairs == sorted(expected)
     assert len(pairs) > 40
+
+
+def test_a_file_of_seconds_may_hold_whole_seconds():
+    assert judge_stamps([0.0, 1.0, 2.0, 3.0], unit="s").times_s == [0, 1, 2, 3]
+
+
+def test_any_order_and_empty():
+    assert associate([2.0, 0.0, 1.0], [1.0, 2.0, 0.0]) == [(1, 2), (2, 0), (0, 1)]
+    assert associate([], [1.0]) == []
+    assert associate([1.0], []) == []

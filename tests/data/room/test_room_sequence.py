@@ -11,7 +11,7 @@ from gsfusion_nb.data.room import kinect_depth, render_room, room, room_mesh, ro
 from gsfusion_nb.data.room.camera import DISPARITY_STEP_PX, FOCAL_BASELINE_PX_M, walk
 from gsfusion_nb.data.room.scene import load_scene
 from gsfusion_nb.files import cache_folder
-from gsfusion_nb.geometry import backproject, pixel_grid, se3
+from gsfusion_nb.geometry import backproject, depth_to_points, pixel_grid, se3
 from gsfusion_nb.types import Camera
 
 SMALL: dict[str, Any] = {"width": 80, "height": 60}
@@ -187,3 +187,18 @@ def test_a_building_has_the_same_room_in_each_place():
     mesh, of_one = building.mesh(), one.mesh()
     assert len(mesh.faces) == 5 * len(of_one.faces)
     assert float(mesh.vertices_W[:, 0].max() - of_one.vertices_W[:, 0].max()) == pytest.approx(20, abs=1e-4)
+
+
+def test_unwritable_cache_is_no_error(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path / "file"))
+    assert room(n_frames=2, **SMALL)[0].depth_m.min() > 0
+
+
+def test_mesh_colours_match_the_rendered_view():
+    mesh = room_mesh(0.08)
+    frame = room(n_frames=9, width=160, height=120)[4]
+    points = se3.apply(frame.T_WC, depth_to_points(frame.camera, frame.depth_m))[::10, ::10].reshape(-1, 3)
+    nearest = torch.cdist(points, mesh.vertices_W).argmin(1)
+    difference = (mesh.rgb[nearest] - frame.rgb[::10, ::10].reshape(-1, 3)).abs().mean(1)
+    assert difference.median() < 0.06

@@ -8,7 +8,8 @@ import torch
 from gsfusion_nb.data.room import render_room, room_sdf
 from gsfusion_nb.data.room.camera import look_at
 from gsfusion_nb.data.room.drawings import text_poster
-from gsfusion_nb.data.room.solids import ball, box, cone, plain
+from gsfusion_nb.data.room.interior import interior
+from gsfusion_nb.data.room.solids import ball, box, cone, face_axes, plain
 from gsfusion_nb.geometry import depth_to_points, pixel_grid, project, rays, se3
 from gsfusion_nb.types import Camera
 
@@ -147,3 +148,15 @@ def test_chart_inverts_surface(name):
         np.testing.assert_allclose(v2, v, atol=1e-9)
         np.testing.assert_allclose(np.linalg.norm(n, axis=-1), 1.0, atol=1e-12)
         assert (solid.sdf(p + 0.001 * n) > 0.0009).all()
+
+
+def test_the_arrangement_repeats_by_seed():
+    one, two, other = (interior(seed) for seed in (3, 3, 4))
+    assert all(np.array_equal(a.t, b.t) and np.array_equal(a.extent, b.extent) for a, b in zip(one, two, strict=True))
+    assert len(one) != len(other) or not all(np.array_equal(a.t, b.t) for a, b in zip(one, other, strict=True))
+
+
+def test_face_axes_are_right_handed_as_seen_from_outside():
+    for face in ("x-", "x+", "y-", "y+", "z-", "z+"):
+        right, up, normal = face_axes(face)
+        np.testing.assert_array_equal(np.cross(right, up), normal)
