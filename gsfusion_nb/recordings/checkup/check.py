@@ -41,8 +41,8 @@ def check_recording(
 
     Args:
         sequence_or_path: Folder of a recording, "room", or any ``Sequence``.
-        data: Range, depth limits and corrections to start from, for example those of an earlier report; held-out frames
-            are examined too.
+        data: Range, depth limits and corrections to start from, for example those of an earlier report. Held-out frames
+            are examined too, but no repair is estimated from them.
         frames: Approximate number of frames to read; a longer recording is read in windows of 31 consecutive frames.
         pictures: Also make the pictures of the page.
         reader_options: For ``open_sequence``: ``format``, options of the reader.
@@ -110,12 +110,12 @@ def _examine(
         last = [jumps]
         graphs += graphs_of(over)
     else:
-        (repair, unit), graphs, piece, last = unit_finding(sample, trials.base), [], DataConfig(), []
+        (repair, unit), graphs, piece, last = unit_finding(trials.mapped(sample), trials.base), [], DataConfig(), []
         about = [unit]
         text = "The recording has no poses: whatever needs them is not judged."
         first = Finding("poses", "unknown", text, repair="--tracking.poses tracked --reader poses=false")
         over = measure_over_frames(sample, RepairConfig(), CalibrationCorrection(), posed=False)
-    colour, colour_findings = registration_findings(fit_colour(sample), sample.camera)
+    colour, colour_findings = registration_findings(fit_colour(trials.mapped(sample)), sample.camera)
     related, reader = colour_findings[0].verdict != "wrong" or bool(colour.changes), {}
     if hint and colour_findings[0].verdict in ("doubtful", "wrong"):  # a calibration is better than a shift
         colour, reader, related = RepairConfig(), hint, True

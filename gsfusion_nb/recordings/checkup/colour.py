@@ -102,10 +102,18 @@ def _may_be_time(shifts: list[tuple[float, float]], speeds: list[np.ndarray]) ->
 
 
 def _speed(f: FrameFacts, there: dict[int, FrameFacts]) -> Float[np.ndarray, " 2"]:
-    """Motion of the image's content to the next frame by phase correlation, pixels of the depth images."""
-    a, b = (cv2.GaussianBlur(g.grey.astype(np.float32), (0, 0), 1.5) for g in (f, there.get(f.place + 1, f)))
+    """Motion of the image's content from this frame to the next by phase correlation, pixels of the depth images."""
+    before, after = _neighbours(f, there)
+    a, b = (cv2.GaussianBlur(g.grey.astype(np.float32), (0, 0), 1.5) for g in (before, after))
     moved = cv2.phaseCorrelate(a, b, cv2.createHanningWindow(a.shape[1::-1], cv2.CV_32F))[0]
     return np.array(moved) * (f.depth_m.shape[1] / a.shape[1])
+
+
+def _neighbours(f: FrameFacts, there: dict[int, FrameFacts]) -> tuple[FrameFacts, FrameFacts]:
+    """The frame and the next, or the one before and the frame where the next was not read; itself twice without both."""
+    if f.place + 1 in there:
+        return f, there[f.place + 1]
+    return there.get(f.place - 1, f), f
 
 
 def _anchors(sample: Sample) -> tuple[list[FrameFacts], list[FrameFacts]]:
@@ -115,8 +123,8 @@ def _anchors(sample: Sample) -> tuple[list[FrameFacts], list[FrameFacts]]:
     chosen = inner or sample.frames
 
     def motion(f: FrameFacts) -> float:
-        after = there.get(f.place + 1, f)
-        return float(np.abs(after.grey.astype(np.float32) - f.grey).mean())
+        before, after = _neighbours(f, there)
+        return float(np.abs(after.grey.astype(np.float32) - before.grey).mean())
 
     stretches = [part for part in np.array_split(np.arange(len(chosen)), ANCHORS) if len(part)]
     ordered = [sorted((chosen[i] for i in part), key=motion) for part in stretches]

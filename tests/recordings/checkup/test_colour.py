@@ -1,12 +1,16 @@
 """Colour edges against depth edges; a shift of colour is not taken for a time offset, nor the other way round."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb.recordings.checkup import check_recording
 from gsfusion_nb.recordings.checkup.colour import (
     ColourFit,
+    _speed,
     colour_contrast,
     depth_edges,
     fit_colour,
@@ -115,6 +119,34 @@ def test_a_late_colour_of_whole_frames_is_a_time():
     repair, (_, time) = registration_findings(fit_colour(read_sample(Pan(THERE_AND_BACK, lag=2))), CAMERA)
     assert time.verdict == "wrong"
     assert repair.changes == {"rgb_shift_frames": -2}
+
+
+class OtherHeldOut(Pan):
+    """The same, but every 8th picture, which is held out by default, is the next one: the camera seems to stand."""
+
+    def __getitem__(self, i):
+        frame = super().__getitem__(i)
+        return dataclasses.replace(frame, rgb=super().__getitem__(i + 1).rgb) if i % 8 == 4 else frame
+
+
+@pytest.mark.parametrize("has_poses", [True, False])
+def test_no_repair_of_colour_or_depth_is_estimated_from_held_out_pictures(has_poses):
+    pan = Pan(THERE_AND_BACK, shift=(8, -6)), OtherHeldOut(THERE_AND_BACK, shift=(8, -6))
+    for sequence in pan:
+        sequence.has_poses = has_poses
+    ours, theirs = (check_recording(sequence, pictures=False) for sequence in pan)
+    named = ("registration", "colour time", "depth scale")
+    found = [{f.name: f for f in report.findings if f.name in named} for report in (ours, theirs)]
+    assert found[0] == found[1]
+    assert ours.data.repair.rgb_shift_x_px == theirs.data.repair.rgb_shift_x_px
+    if not has_poses:  # with these poses, at one place, a repair is not tried
+        assert ours.data.repair.rgb_shift_x_px == pytest.approx(8, abs=1.0)
+
+
+def test_a_frame_beside_one_that_was_not_read_is_no_slow_one():
+    there = {f.place: f for f in read_sample(Pan(ONE_WAY[:28])).frames if f.place % 8 != 4}
+    speeds = np.array([_speed(f, there)[0] for f in there.values()])
+    assert speeds == pytest.approx(np.full(speeds.shape, -10.0), abs=0.6)
 
 
 def test_colour_that_lies_nowhere_is_of_other_frames_or_of_another_camera():
