@@ -1,5 +1,6 @@
 """The pose of each frame, given by the data or tracked against the map; the trajectory and its corrections."""
 
+import bisect
 import dataclasses
 from collections.abc import Iterable
 from typing import Any
@@ -99,6 +100,16 @@ class Localiser:
         moved = self._twists(range(len(self.poses)))
         xi = between(torch.tensor(self.frame_indices), moved, index)
         return (T_WC.double() @ se3.exp(xi)).to(T_WC)
+
+    def pose_near(self, index: int) -> Float[Tensor, "4 4"]:
+        """A pose between those of the mapped frames before and after any frame of the source, or the first or last."""
+        poses = torch.stack(self.poses).double()
+        after = bisect.bisect(self.frame_indices, index)
+        if after in (0, len(poses)):
+            return poses[min(after, len(poses) - 1)]
+        there, here = self.frame_indices[after - 1 : after + 1]
+        step = se3.log(se3.inverse(poses[after - 1]) @ poses[after])
+        return poses[after - 1] @ se3.exp((index - there) / (here - there) * step)
 
     def _twists(self, rows: Iterable[int]) -> Float[Tensor, "R 6"]:
         """How far some frames were refined, each in its camera's frame."""

@@ -25,7 +25,7 @@ from ..render import Boxes, drawn_in_part, render
 from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, move_memory, rule_name
 from ..seeding.apply import ChangedInputError
 from ..seeding.rule_code import find_rule
-from ..tracking import Correction, Surface
+from ..tracking import Correction, Surface, localise
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from ..work import MAP_MEMORY
 from .localiser import Localiser, move_map
@@ -201,6 +201,18 @@ class Mapper(ABC):
         """What a frame at this pose is aligned to where poses are tracked: the map's surface."""
         seen = self.surface(camera, T_WC)
         return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC, rgb=seen.rgb)
+
+    def localised_pose(self, frame: Frame) -> Float[Tensor, "4 4"] | None:
+        """Where a frame that is not mapped was taken: aligned with the map, from between the mapped frames around it.
+
+        Nothing changes. ``None``: it fits nowhere there.
+
+        Raises:
+            BadFrameError: the frame cannot be used (``check_frame``).
+        """
+        frame = check_frame(frame, self.device, needs_depth=self.needs_depth)
+        guess = self.localiser.pose_near(frame.index)
+        return localise(frame, self.tracking_surface, guess, self.config.tracking)
 
     @abstractmethod
     def mesh(self) -> Mesh:

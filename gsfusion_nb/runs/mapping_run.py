@@ -100,6 +100,13 @@ class MappingRun:
         self.warnings: list[str] = []
         for note in self.mapper.notes:
             self._warn(note)
+        if not has_poses(sequence) and len(sequence.held_out):
+            self._warn(
+                f"{sequence.name} has no poses: each held-out frame is scored where depth and brightness fit the map "
+                "(--data.hold-out-every 0 maps all frames)"
+            )
+        self.localised: tuple[Any, dict[int, Tensor]] | None = None
+        """A state of the map, and frame -> pose of the held-out frames that were aligned with it."""
         self.next_position = 0
         self.bad_in_a_row = 0
         """Number of unusable frames directly before ``next_position``."""
@@ -292,6 +299,11 @@ class MappingRun:
             return f"none of the {n} frames could be mapped"
         reason = self.warnings[0].removeprefix("skipped a frame: ")
         return f"none of the {n} frames could be mapped, the first because {reason}"
+
+    def warn_once(self, sentence: str) -> None:
+        """Warn, unless the run has said so before."""
+        if sentence not in self.warnings:
+            self._warn(sentence)
 
     def _warn(self, sentence: str) -> None:
         self.warnings.append(sentence)

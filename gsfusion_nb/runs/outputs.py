@@ -33,7 +33,7 @@ from ..seeding import is_built_in, rule_name, rule_source
 from ..seeding.rule_code import RULE_MODULES, beside_sources, file_source
 from ..types import Mesh
 from ..work import MAP_MEMORY
-from .mapping_run import MappingRun
+from .mapping_run import MappingRun, evenly
 from .report import ReportData, ReportView, write_report
 from .run_folder import METRICS, RULE
 from .scored_views import (
@@ -351,10 +351,12 @@ def _strict(value: Any) -> Any:
 def report_views(run: MappingRun) -> list[ReportView]:
     """A few held-out and mapped views: input image and render."""
     panels = []
-    for view, held_out in ((run.sequence.held_out, True), (run.mapped_views(1000), False)):
-        picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
-        picked = dataclasses.replace(view, positions=[view.positions[i] for i in picks])
-        for frame in frames_in_map(picked, run.mapper.localiser, run.sequence.mapping):
+    mapped = run.mapped_views(1000)
+    mapped = dataclasses.replace(mapped, positions=[mapped.positions[i] for i in evenly(len(mapped), 3)])
+    held_out_frames = scored_views(run)["held_out"].spread(3).frames(run.sequence)
+    mapped_frames = frames_in_map(mapped, run.mapper.localiser, run.sequence.mapping)
+    for frames, held_out in ((held_out_frames, True), (mapped_frames, False)):
+        for frame in frames:
             rendered = run.mapper.render(frame.camera, frame.T_WC)
             panels.append(ReportView.of(frame, rendered, held_out=held_out, cells=run.mapper.quadtree_cells(frame)))
     return panels

@@ -1,6 +1,7 @@
 """The views that a run is scored with and their poses in its map, stored so that it can be scored again."""
 
 import bisect
+import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -148,6 +149,9 @@ class ScoredViews:
 def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     """The held-out and mapped views of a run that are scored, with their current poses in the map.
 
+    Held-out views of tracked recordings without poses are aligned with the map by their depth and brightness; those
+    that fit nowhere are left out, and the run says so.
+
     Where pictures refined the mapped poses or exposures, the held-out views are there a second time, as the group
     held_out_between, each moved as the mapped views before and after it were, and with an exposure between theirs;
     their own pictures are not used.
@@ -158,9 +162,12 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     mapped = dataclasses.replace(mapped, positions=[p for p in mapped.positions if p not in refused])
     found = {}
     for name, view in (("held_out", run.sequence.held_out), ("mapped", mapped)):
+        poses = poses_in_map(view, localiser, mapping)
+        if name == "held_out":
+            poses = _localised(run, view, poses)
         posed = [
             (position, T_WC.to("cpu", torch.float32))
-            for position, T_WC in zip(view.positions, poses_in_map(view, localiser, mapping), strict=True)
+            for position, T_WC in zip(view.positions, poses, strict=True)
             if T_WC is not None
         ]
         found[name] = ScoredViews([position for position, _ in posed], [T_WC for _, T_WC in posed])
@@ -170,6 +177,36 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
         moved = [localiser.refined(*view) for view in zip(held_out.positions, held_out.poses, strict=True)]
         found["held_out_between"] = ScoredViews(held_out.positions, moved, gains)
     return found
+
+
+def _localised(
+    run: MappingRun, view: SequenceView, poses: list[Float[Tensor, "4 4"] | None]
+) -> list[Float[Tensor, "4 4"] | None]:
+    """The poses of held-out views, and where the map was tracked of those without one: aligned with the map as it is.
+
+    They are found once for each state of the map.
+    """
+    mapper = run.mapper
+    missing = [i for i, T_WC in enumerate(poses) if T_WC is None]
+    if not missing or not mapper.localiser.is_tracking or not mapper.localiser.poses:
+        return poses
+    state = (run.next_position, mapper.n_frames, mapper.passes.done, len(mapper.passes.queue), tuple(view.positions))
+    if run.localised is None or run.localised[0] != state:
+        found: dict[int, Tensor] = {}
+        for frame in frames_at(view, [torch.eye(4) if T_WC is None else None for T_WC in poses]):
+            with contextlib.suppress(SequenceError):
+                T_WC = mapper.localised_pose(frame)
+                if T_WC is not None:
+                    found[frame.index] = T_WC
+        run.localised = state, found
+        lost = [view.positions[i] for i in missing if view.positions[i] not in found]
+        if lost:
+            run.warn_once(
+                f"{len(lost)} of {len(missing)} held-out frames could not be found in the map and are not scored, the "
+                f"first is frame {lost[0]}"
+            )
+    known = run.localised[1]
+    return [known.get(index) if T_WC is None else T_WC for index, T_WC in zip(view.positions, poses, strict=True)]
 
 
 def _gains_between(run: MappingRun, positions: list[int]) -> dict[int, Float[Tensor, " 3"]]:

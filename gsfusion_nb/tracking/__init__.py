@@ -22,6 +22,7 @@ from .icp import point_to_plane as point_to_plane
 from .keyframe_database import KeyframeDatabase as KeyframeDatabase
 from .landmark_map import LandmarkMap as LandmarkMap
 from .landmark_map import Sighting as Sighting
+from .localise import localise as localise
 from .pose_graph import Edge as Edge
 from .pose_graph import odometry_information as odometry_information
 from .pose_graph import optimise_poses as optimise_poses

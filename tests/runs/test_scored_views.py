@@ -24,8 +24,8 @@ from gsfusion_nb.data import (
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping.localiser import Localiser
 from gsfusion_nb.runs import MappingRun, rescore, run_mapping
-from gsfusion_nb.runs.outputs import score_trajectory
-from gsfusion_nb.runs.scored_views import frames_in_map, ground_truth_poses, readable_frames
+from gsfusion_nb.runs.outputs import report_views, score_trajectory
+from gsfusion_nb.runs.scored_views import frames_in_map, ground_truth_poses, read_views, readable_frames
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
@@ -135,12 +135,32 @@ def test_a_recording_without_poses_is_tracked_from_the_identity(tmp_path):
     done = run_mapping(tmp_path / "scan", config, folder=tmp_path / "run", poses=False)
     assert done.metrics["n_frames"] == 6
     assert "ate_rmse_m" not in done.metrics
-    assert done.metrics["n_views_held_out"] == 0
     assert done.metrics["psnr_mapped_db"] > 18
+    assert any("has no poses: each held-out frame is scored" in warning for warning in done.run.warnings)
+    assert done.metrics["n_views_held_out"] == 2
+    assert done.metrics["psnr_held_out_db"] > 18
     start = frames[0].T_WC.inverse()
     truth = [start @ f.T_WC for i, f in enumerate(frames) if i % 4 != 2]
     for pose, true in zip(done.run.poses, truth, strict=True):
         assert float((pose[:3, 3] - true[:3, 3]).norm()) < 0.02
+    views = read_views(done.folder)["held_out"]
+    for position, pose in zip(views.positions, views.poses, strict=True):
+        turned_deg, moved_m = se3.motion(pose, start @ frames[position].T_WC)
+        assert (turned_deg, moved_m) == (pytest.approx(0, abs=0.3), pytest.approx(0, abs=0.01))
+    assert {view.name for view in report_views(done.run) if view.held_out} == {"frame 2", "frame 6"}
+    before = done.metrics["psnr_held_out_db"]
+    assert rescore(done.folder)["psnr_held_out_db"] == before
+
+
+def test_a_held_out_frame_that_is_nowhere_in_the_map_is_not_scored(tmp_path):
+    sequence = open_sequence("room", data=DataConfig(width=160, height=120, hold_out_every=0), n_frames=480)
+    frames = [sequence[i] for i in (0, 1, 2, 3, 4, 5, 240, 7)]  # frame 6 is of another place
+    write_recording(tmp_path / "scan", frames)
+    config = gsfusion("online", tracking__poses="tracked", data__hold_out_every=4, data__hold_out_offset=2)
+    done = run_mapping(tmp_path / "scan", config, folder=tmp_path / "run", poses=False)
+    assert done.metrics["n_views_held_out"] == 1
+    told = [warning for warning in done.run.warnings if "could not be found in the map" in warning]
+    assert told == ["1 of 2 held-out frames could not be found in the map and are not scored, the first is frame 6"]
 
 
 def write_recording(folder, frames):

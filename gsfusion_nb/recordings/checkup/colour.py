@@ -110,7 +110,7 @@ def _speed(f: FrameFacts, there: dict[int, FrameFacts]) -> Float[np.ndarray, " 2
 
 
 def _neighbours(f: FrameFacts, there: dict[int, FrameFacts]) -> tuple[FrameFacts, FrameFacts]:
-    """The frame and the next, or the one before and the frame where the next was not read; itself twice without both."""
+    """The frame and the next, or the one before and the frame if the next was not read; itself twice without both."""
     if f.place + 1 in there:
         return f, there[f.place + 1]
     return there.get(f.place - 1, f), f
