@@ -208,9 +208,10 @@ class Render(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, camera, T_WC, xyz_W, log_scale, quat, opacity_logit, sh):
-        ctx.params = GaussianParams(xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=sh)
-        out, ctx.record = render_forward(ctx.params, camera, T_WC)
-        ctx.T_WC = T_WC
+        params = GaussianParams(xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=sh)
+        out, ctx.record = render_forward(params, camera, T_WC)
+        # the check of saved tensors notices a change in place, also of the images, which a fast record may share
+        ctx.save_for_backward(T_WC, *vars(params).values(), out.rgb, out.depth_m, out.alpha)
         ctx.mark_non_differentiable(out.first_index, out.dominant_index)
         return out.rgb, out.depth_m, out.alpha, out.first_index, out.dominant_index
 
@@ -218,8 +219,10 @@ class Render(torch.autograd.Function):
     def backward(ctx, *v):
         if torch.is_grad_enabled():
             raise RuntimeError("render_autograd has first derivatives only; expected a backward without create_graph")
+        T_WC, *columns = ctx.saved_tensors[:-3]
         g = render_vjp(ctx.record, *v[:3])
-        v_T_WC = pose_matrix_vjp(ctx.params, g, ctx.T_WC) if ctx.needs_input_grad[1] else None
+        params = GaussianParams(**dict(zip(vars(g), columns, strict=True)))
+        v_T_WC = pose_matrix_vjp(params, g, T_WC) if ctx.needs_input_grad[1] else None
         return None, v_T_WC, g.xyz_W, g.log_scale, g.quat, g.opacity_logit, g.sh
 
 
@@ -231,7 +234,8 @@ def render_autograd(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, 
     matrix that is itself a leaf has to be moved along it as a rigid motion.
 
     Raises:
-        RuntimeError: in a backward with ``create_graph``: there are no second derivatives.
+        RuntimeError: in a backward with ``create_graph``: there are no second derivatives; or after a parameter, the
+            pose or a picture was changed in place since.
     """
     rgb, depth_m, alpha, first_index, dominant_index = Render.apply(
         camera, T_WC, params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh

@@ -16,7 +16,7 @@ from ..config import TsdfConfig
 from ..geometry import project, se3
 from ..geometry.operands import check_frame_on, check_operand
 from ..types import Camera, Frame
-from .allocate import allocate
+from .allocate import allocate, new_band_blocks
 from .octree import NewBlocks
 from .raycast import RaycastOutput, raycast
 from .volume import TsdfSample, TsdfVolume, block_of, check_volume
@@ -140,9 +140,25 @@ def check_fuse(volume: Any, frame: Any) -> None:
         check_pose("T_WC", frame.T_WC)
 
 
-@op("integrate", check_fuse)
+def check_fuse_frame(volume: Any, frame: Any) -> None:
+    """As ``check_fuse``; and a volume without any block takes nothing of a frame that needs some."""
+    check_fuse(volume, frame)
+    if not volume.n_blocks and len(new_band_blocks(volume, frame)):
+        raise ValueError(
+            "the volume has no voxel blocks, so nothing can be fused into it; integrate(volume, frame) makes those "
+            "that the frame needs and fuses it"
+        )
+
+
+@op("integrate", check_fuse_frame)
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
-    """Update the allocated voxels that ``frame`` observes, in place; returns how many it observes."""
+    """Update the allocated voxels that ``frame`` observes, in place; returns how many it observes.
+
+    It makes no blocks: ``integrate`` does, and then calls this.
+
+    Raises:
+        ValueError: the pose is not rigid; or the volume has no blocks although the frame needs some.
+    """
     T_CW = se3.inverse(frame.T_WC.double())
     rows = blocks_in_view(volume, frame.camera, T_CW)
     return sum(_fuse_blocks(volume, part, frame, T_CW) for part in rows.split(BLOCKS_AT_A_TIME))

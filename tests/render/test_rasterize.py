@@ -4,6 +4,7 @@ from itertools import product
 import pytest
 import torch
 
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.geometry.spherical_harmonics import sh_to_rgb
 from gsfusion_nb.render import (
     composite,
@@ -121,6 +122,30 @@ def test_autograd_binding_gives_the_explicit_gradient(scene, generator):
     plain = render(leaves, scene.camera, scene.pose)
     assert not plain.rgb.requires_grad
     torch.testing.assert_close(plain.rgb, out.rgb.detach())
+
+
+@pytest.mark.parametrize("changed", ["xyz_W", "log_scale", "quat", "opacity_logit", "sh", "pose"])
+def test_a_change_in_place_before_the_backward_is_refused(scene, generator, changed):
+    params = scene.random_map(generator, 5, degree=1)
+    leaves = {name: getattr(params, name).clone().requires_grad_() for name in scene.columns}
+    pose = scene.pose.clone()
+    out = render_autograd(GaussianParams(**leaves), scene.camera, pose)
+    with torch.no_grad():
+        (pose if changed == "pose" else leaves[changed]).mul_(1.01)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        out.rgb.sum().backward()
+
+
+@pytest.mark.parametrize("backend", ["reference", "auto"])
+@pytest.mark.parametrize("image", ["rgb", "depth_m", "alpha"])
+def test_a_picture_changed_in_place_is_refused_too(scene, generator, backend, image):
+    """A record may hold the picture itself."""
+    params = rows(scene, [column.float() for column in columns(scene.random_map(generator, 5, degree=1))])
+    leaves = GaussianParams(**{n: getattr(params, n).clone().requires_grad_() for n in scene.columns})
+    with use_backend(backend):
+        out = render_autograd(leaves, scene.camera, scene.pose.float())
+        with pytest.raises(RuntimeError, match="inplace"):
+            getattr(out, image).mul_(2.0).sum().backward()
 
 
 def test_order_of_rows_does_not_matter(scene, generator):

@@ -147,7 +147,7 @@ def test_a_recording_without_poses_is_tracked_from_the_identity(tmp_path):
     for position, pose in zip(views.positions, views.poses, strict=True):
         turned_deg, moved_m = se3.motion(pose, start @ frames[position].T_WC)
         assert (turned_deg, moved_m) == (pytest.approx(0, abs=0.3), pytest.approx(0, abs=0.01))
-    assert {view.name for view in report_views(done.run) if view.held_out} == {"frame 2", "frame 6"}
+    assert {view.name for view in report_views(done.run) if view.held_out} == {"Frame 2", "Frame 6"}
     before = done.metrics["psnr_held_out_db"]
     assert rescore(done.folder)["psnr_held_out_db"] == before
 

@@ -3,9 +3,10 @@ import dataclasses
 import pytest
 import torch
 
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import room_sdf
-from gsfusion_nb.tsdf import TsdfVolume, integrate, tsdf_update
+from gsfusion_nb.tsdf import TsdfVolume, fuse_frame_, integrate, tsdf_update
 from gsfusion_nb.tsdf.integrate import colour_weight
 from gsfusion_nb.types import Camera
 
@@ -322,3 +323,14 @@ def test_inputs_are_not_modified(camera, make_frame):
     integrate(TsdfVolume(CONFIG), frame)
     for before, after in zip(copies, (frame.depth_m, frame.rgb, frame.T_WC), strict=True):
         assert torch.equal(before, after)
+
+
+@pytest.mark.parametrize("backend", ["reference", "auto"])
+def test_a_volume_without_blocks_refuses_a_frame_that_needs_some(room_volume, backend):
+    frame = room_volume[1][0]
+    with use_backend(backend):
+        with pytest.raises(ValueError, match=r"has no voxel blocks.*integrate\(volume, frame\) makes those"):
+            fuse_frame_(TsdfVolume(CONFIG), frame)
+        without_depth = dataclasses.replace(frame, depth_m=torch.zeros_like(frame.depth_m))
+        assert fuse_frame_(TsdfVolume(CONFIG), without_depth) == 0
+        assert integrate(TsdfVolume(CONFIG), frame).updated_voxels > 0
