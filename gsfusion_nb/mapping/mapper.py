@@ -33,6 +33,7 @@ from .lost_rows import LostRows
 from .rule import AfterSteps, RuleInUse, check_known, settings_of_run, settings_with_rule
 from .step import FrameGuard, GlobalStep, StageClock, StepReport, check_frame, psnr_from_mse
 from .training import KeyframePasses, LossFunction, RandomStreams, Training, given_functions
+from .usual_torch import changeable, in_usual_torch, usual_torch
 
 Draw = Callable[[Camera, Tensor], RenderOutput]
 """Renders a map for a camera and its camera-to-world pose."""
@@ -110,6 +111,14 @@ class Mapper(ABC):
     mesh_share: float | None = None
     """Share of the surface seen that the last ``mesh`` has, where it is made from some of the views."""
 
+    def __init_subclass__(cls, **rest: Any):
+        """What a subclass offers to callers runs in ``usual_torch``, as what this class offers."""
+        super().__init_subclass__(**rest)
+        for name in ("__init__", "surface", "mesh", "render", "seed_context", "quadtree_cells", "standard_gaussians"):
+            if name in vars(cls):
+                setattr(cls, name, in_usual_torch(vars(cls)[name]))
+
+    @in_usual_torch
     def __init__(
         self,
         config: Any = None,
@@ -161,6 +170,7 @@ class Mapper(ABC):
     def n_passes(self) -> int:
         """Number of passes of the optimisation after the scan in the settings."""
 
+    @in_usual_torch
     def step(self, frame: Frame) -> StepReport:
         """Map one frame, all of it or nothing: check it, find its pose, map it (``map_frame``), record its pose.
 
@@ -174,7 +184,7 @@ class Mapper(ABC):
         with self._whole_frame(frame):
             self.clock = StageClock()
             self.lost.begin_frame()
-            frame = check_frame(frame, self.device, needs_depth=self.needs_depth)
+            frame = check_frame(changeable(frame), self.device, needs_depth=self.needs_depth)
             with self.clock("tracking"):
                 frame = self.localiser.locate(frame, self.tracking_surface)
             report = self.map_frame(frame)
@@ -202,6 +212,7 @@ class Mapper(ABC):
         seen = self.surface(camera, T_WC)
         return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC, rgb=seen.rgb)
 
+    @in_usual_torch
     def localised_pose(self, frame: Frame) -> Float[Tensor, "4 4"] | None:
         """Where a frame that is not mapped was taken: aligned with the map, from between the mapped frames around it.
 
@@ -210,7 +221,7 @@ class Mapper(ABC):
         Raises:
             BadFrameError: the frame cannot be used (``check_frame``).
         """
-        frame = check_frame(frame, self.device, needs_depth=self.needs_depth)
+        frame = check_frame(changeable(frame), self.device, needs_depth=self.needs_depth)
         guess = self.localiser.pose_near(frame.index)
         return localise(frame, self.tracking_surface, guess, self.config.tracking)
 
@@ -235,6 +246,7 @@ class Mapper(ABC):
         """
         return render(params, camera, T_WC)
 
+    @in_usual_torch
     def begin_with(self, params: GaussianParams, name: str = "another map") -> None:
         """Put Gaussians that were optimised elsewhere into the map before the first frame; they are optimised further.
 
@@ -255,6 +267,7 @@ class Mapper(ABC):
         self.gaussians.extend(params)
         self.notes.append(f"the map began with {len(params):,} Gaussians of {name}")
 
+    @in_usual_torch
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """The Gaussian map seen by a camera."""
         T_WC = T_WC.to(self.device)
@@ -344,14 +357,16 @@ class Mapper(ABC):
         passes = self.n_passes if passes is None else passes
         if not self.passes.begun:
             self.lost.begin_frame()
-            self.take_missed_steps()
-            self._follow(self.localiser.finish())
+            with usual_torch():
+                self.take_missed_steps()
+                self._follow(self.localiser.finish())
         yield from self.passes.run(passes, len(self.keyframes), self.random.passes, self._watched_global_step)
-        self.take_missed_steps()
+        with usual_torch():
+            self.take_missed_steps()
 
     def _watched_global_step(self, i: int) -> Float[Tensor, ""]:
         self._last_part = (), None
-        with self.watch(None):
+        with usual_torch(), self.watch(None):
             loss = self._global_step(i)
             if not self.passes.queue:
                 self.remove_lost()
@@ -428,6 +443,7 @@ class Mapper(ABC):
         """What the seeding rule keeps from one frame to the next."""
         return self.rule_in_use.memory
 
+    @in_usual_torch
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame."""
         return self._context(frame)
@@ -531,6 +547,7 @@ class Mapper(ABC):
         }
 
     @classmethod
+    @in_usual_torch
     def from_state_dict(
         cls: type[M],
         state: dict[str, Any],
