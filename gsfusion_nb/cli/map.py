@@ -95,6 +95,8 @@ def run(arguments: list[str]) -> int:
             parts = ", ".join(f"{gb:.2g} GB {what}" for what, gb in needed.items())
             print(f"about {sum(needed.values()):.2g} GB: {parts}; --memory-gb keeps the map in files")
             return 0
+        if options.said_of_preset():
+            print(options.said_of_preset())
         finished = run_mapping(
             data,
             settings,

@@ -76,6 +76,25 @@ class SettingsOptions:
         options = seeding.options | named_values(self.rule_options)
         return dataclasses.replace(self.config, seeding=dataclasses.replace(seeding, options=options))
 
+    def said_of_preset(self) -> str:
+        """A sentence on what the preset sets besides what concerns the data; "" if that is nothing, or not the default.
+
+        Other fidelities take the settings that were published for the preset's data.
+        """
+        from ..mapping import get_system
+
+        system = get_system(self.system)
+        if self.from_config or not self.preset or self.fidelity not in ("", *system.fidelities[:1]):
+            return ""
+        default = leaves(to_dict(system.config_type()))
+        values = leaves(to_dict(system.preset(self.preset)))
+        others = [
+            f"{name} {value}"
+            for name, value in values.items()
+            if value != default[name] and not name.startswith(("data.", "seeding.own_settings"))
+        ]
+        return f"preset {self.preset} sets {', '.join(others)}; the rest is the default" if others else ""
+
     def check_device(self) -> None:
         """Raise ``ValueError`` with the reason if the device cannot be used here."""
         import torch

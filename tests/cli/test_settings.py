@@ -68,6 +68,21 @@ BEFORE = {
 """Settings that came after their system, with what runs did before."""
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["recording", "--preset", "scannetpp"], "preset scannetpp sets keep_all_frames True; the rest is the default"),
+        (["recording", "--preset", "online"], "preset online sets optim.global_iterations 0; the rest is the default"),
+        (["recording", "--preset", "scannetpp", "--fidelity", "code"], ""),
+        (["recording"], ""),
+        (["room", "--preset", "room"], ""),
+        (["recording", "--preset", "tum", "--system", "gps_slam"], ""),
+    ],
+)
+def test_what_a_preset_sets_besides_the_data_is_said(arguments, said):
+    assert parse(MapOptions, "map", arguments, data="data").said_of_preset() == said
+
+
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_run_from_before_a_setting_existed_keeps_what_it_did(tmp_path, system):
     path, default = tmp_path / "config.json", SYSTEMS[system].config_type()
