@@ -54,6 +54,13 @@ def test_measured_has_its_steps_rates_and_loss_on_all_data(preset):
     assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (3, 1, 2)
     assert (o.lr_xyz, o.depth_weight, ours.keyframe_max_gap) == (2 * papers.optim.lr_xyz, 0.2, 5)
     assert replace(ours, optim=papers.optim, keyframe_max_gap=0) == papers
+    default = gsfusion()
+    kept = replace(ours, data=default.data, keep_all_frames=False, optim__global_iterations=10)
+    assert kept == replace(default, optim__global_iterations=10)
+    assert (o.global_iterations, ours.keep_all_frames) == (
+        {"tum": 20, "online": 0}.get(preset, 10),
+        preset == "scannetpp",
+    )
 
 
 @pytest.mark.parametrize("preset", presets())
