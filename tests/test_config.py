@@ -48,19 +48,17 @@ def test_measured_is_the_default():
 
 
 @pytest.mark.parametrize("preset", presets())
-def test_measured_has_its_steps_rates_and_loss_on_all_data(preset):
-    ours, papers = gsfusion(preset), gsfusion(preset, "paper_steps")
-    o = ours.optim
-    assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (3, 1, 2)
-    assert (o.lr_xyz, o.depth_weight, ours.keyframe_max_gap) == (2 * papers.optim.lr_xyz, 0.2, 5)
+def test_measured_has_its_loss_on_all_data_and_its_steps_where_views_are_close(preset):
+    ours, papers, default = gsfusion(preset), gsfusion(preset, "paper_steps"), gsfusion()
+    assert (ours.optim.depth_weight, ours.keyframe_max_gap) == (0.2, 5)
     assert replace(ours, optim=papers.optim, keyframe_max_gap=0) == papers
-    default = gsfusion()
-    kept = replace(ours, data=default.data, keep_all_frames=False, optim__global_iterations=10)
-    assert kept == replace(default, optim__global_iterations=10)
-    assert (o.global_iterations, ours.keep_all_frames) == (
-        {"tum": 20, "online": 0}.get(preset, 10),
-        preset == "scannetpp",
-    )
+    assert ours.optim.global_iterations == {"tum": 20, "online": 0}.get(preset, 10)
+    assert ours.keep_all_frames == (preset == "scannetpp")
+    if preset == "scannetpp":
+        assert replace(ours.optim, depth_weight=0.0) == papers.optim
+    else:
+        assert replace(ours.optim, global_iterations=10) == default.optim
+        assert (ours.optim.keyframe_iterations, ours.optim.lr_xyz) == (3, 2 * papers.optim.lr_xyz)
 
 
 @pytest.mark.parametrize("preset", presets())

@@ -206,6 +206,8 @@ class Presets:
         """What all fidelities but "measured" have."""
         self.published_on: dict[str, dict[str, Any]] = tables.get("published_on", {})
         """Preset -> the user's part in these fidelities."""
+        self.measured_on: dict[str, dict[str, Any]] = tables.get("measured_on", {})
+        """Preset -> what "measured" has for this data only."""
         self.fidelities: dict[str, dict[str, Any]] = {MEASURED: {}} | tables["fidelity"]
         """Fidelity -> settings over ``published``."""
         self.of_code: dict[str, dict[str, Any]] = tables.get("code_on", {})
@@ -227,6 +229,8 @@ class Presets:
             config = _merge(config, layer, "")
         if follows_paper:
             config = replace(config, **self.published_on.get(preset, {}))
+        else:
+            config = _merge(config, self.measured_on.get(preset, {}), "")
         config = replace(config, **self.of_data[preset])
         if fidelity == "code":
             config = _merge(config, self.of_code.get(preset, {}), "")

@@ -71,7 +71,10 @@ BEFORE = {
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["recording", "--preset", "scannetpp"], "preset scannetpp sets keep_all_frames True; the rest is the default"),
+        (
+            ["recording", "--preset", "scannetpp", "--system", "rtg_slam"],
+            "preset scannetpp sets states.unstable_frames 200; the rest is the default",
+        ),
         (["recording", "--preset", "tum"], "preset tum sets optim.global_iterations 20; the rest is the default"),
         (["recording", "--preset", "online"], "preset online sets optim.global_iterations 0; the rest is the default"),
         (["recording", "--preset", "scannetpp", "--fidelity", "code"], ""),
