@@ -60,14 +60,14 @@ class Entrant:
                 option names. KeyError, TypeError: no such rule, or an option that it does not have.
         """
         rule = self.rule
-        is_file = isinstance(rule, str) and is_rule_file(rule)
-        source = read_rule_file(rule)[0] if is_file else ""
+        file = rule if isinstance(rule, str) and is_rule_file(rule) else ""
+        source = read_rule_file(file)[0] if file else ""
         found = find_rule(rule)
         check_options(found, self.options)
         spec = RunSpec(
             rule=rule if isinstance(rule, str) else rule_name(rule), label=self.name, options=self.options,
             size_option=self.size_option, size_range=self.size_range,
-            rule_source=source, rule_folder=str(rule_folder(rule)) if is_file else "", **fields,
+            rule_source=source, rule_folder=str(rule_folder(file)) if file else "", **fields,
         ).with_code(found)  # fmt: skip
         return Entry(spec=spec, rule=None if isinstance(rule, str) else rule, sequence=sequence)
 

@@ -7,7 +7,6 @@ import ast
 import functools
 import hashlib
 import importlib.machinery
-import itertools
 import json
 import sys
 import types
@@ -88,7 +87,7 @@ def rule_fingerprint(code: Any) -> str:
 
 def differing(a: Mapping[str, str], b: Mapping[str, str]) -> str:
     """The parts in which two keys differ, in words."""
-    names = [name for name in sorted(a | b) if a.get(name) != b.get(name)]
+    names = [name for name in sorted({*a, *b}) if a.get(name) != b.get(name)]
     words = [f"{name} ({a[name]}, {b[name]})" if _is_version(name, a, b) else name for name in names]
     return ", ".join("code or values as loaded" if word == "values" else word for word in words)
 
@@ -261,12 +260,10 @@ def _imports(tree: ast.AST, package: str) -> Iterator[str]:
                 yield source
                 yield from (f"{source}.{alias.name}" for alias in node.names if alias.name != "*")
         elif isinstance(node, ast.Call) and _called(node) in ("import_module", "__import__"):
-            yield from (a.value for a in itertools.islice(node.args, 1) if _is_name(a))
+            first = node.args[0] if node.args else None
+            if isinstance(first, ast.Constant) and isinstance(first.value, str) and not first.value.startswith("."):
+                yield first.value
 
 
 def _called(call: ast.Call) -> str:
     return call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")
-
-
-def _is_name(argument: ast.expr) -> bool:
-    return isinstance(argument, ast.Constant) and isinstance(argument.value, str) and not argument.value.startswith(".")

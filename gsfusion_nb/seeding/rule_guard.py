@@ -200,8 +200,9 @@ def _tell(event: str, arguments: tuple[Any, ...]) -> None:
 def _calls_watched(watch: _Watch) -> Iterator[None]:
     """Tell ``watch`` of the variables that are read, and the threads that are started, in this thread."""
     kind: Any = type(os.environ)
+    thread_kind: Any = threading.Thread
     read = kind.__getitem__
-    start = threading.Thread.start
+    start = thread_kind.start
 
     def tell(environ: Any, name: Any) -> Any:
         if _watch() is watch:
@@ -215,12 +216,12 @@ def _calls_watched(watch: _Watch) -> Iterator[None]:
 
     with _patching:
         kind.__getitem__ = tell
-        threading.Thread.start = tell_of_thread
+        thread_kind.start = tell_of_thread
         try:
             yield
         finally:
             kind.__getitem__ = read
-            threading.Thread.start = start
+            thread_kind.start = start
 
 
 @contextlib.contextmanager

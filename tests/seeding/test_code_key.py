@@ -179,10 +179,11 @@ class Decorator:
 
     def __init__(self, function, step):
         functools.update_wrapper(self, function)
+        self.function = function
         self.step = step
 
     def __call__(self, x):
-        return self.__wrapped__(x) * self.step
+        return self.function(x) * self.step
 
 
 def made_class(**members):
