@@ -11,7 +11,7 @@ import torch
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import BadFrameError, apply_options
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, FrameUndone, GSFusion, HalfMappedError, make_mapper
-from gsfusion_nb.mapping.step import BLACK, check_frame
+from gsfusion_nb.mapping.step import BLACK, FrameGuard, check_frame
 from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import SeedContext
@@ -205,3 +205,85 @@ def test_a_good_frame_comes_back():
 def test_a_bad_frame_is_refused(change, message):
     with pytest.raises(BadFrameError, match=f"frame 7 cannot be mapped: .*{message}"):
         check_frame(dataclasses.replace(GOOD, **change), needs_depth=True)
+
+
+def mapped(guard: FrameGuard, index: int, *calls: Any) -> None:
+    """The step of a mapper that makes these calls."""
+    with guard.while_mapping(index):
+        for call in calls:
+            call()
+
+
+def fails(error: Exception) -> Any:
+    def call():
+        raise error
+
+    return call
+
+
+def test_one_frame_at_a_time():
+    guard = FrameGuard()
+    sentence = "frame 5 was given while another thread maps frame 4; give one frame at a time"
+    with guard.while_mapping(4), pytest.raises(RuntimeError, match=sentence):
+        mapped(guard, 5)
+    mapped(guard, 5)
+
+
+def test_what_fails_before_the_changes_leaves_the_guard_open():
+    guard = FrameGuard()
+    with pytest.raises(KeyError, match="rule"):
+        mapped(guard, 1, fails(KeyError("rule")))
+    assert guard.half_mapped == ""
+    with pytest.raises(MemoryError, match="no room"):
+        mapped(guard, 2, guard.changes_begin, fails(MemoryError("no room")))
+    with pytest.raises(HalfMappedError, match=r"frame 2 was only half mapped \(MemoryError: no room\); this map takes"):
+        mapped(guard, 3)
+
+
+def test_a_frame_is_undone_once_and_only_until_its_changes_stay():
+    guard, done = FrameGuard(), []
+
+    def begin():
+        guard.changes_begin(lambda: done.append("undone"))
+
+    def stop():
+        try:
+            guard.may_stop()
+        except FrameUndone:
+            done.append(guard.undo())
+            raise
+
+    guard.stop_wanted = lambda: True
+    with pytest.raises(FrameUndone):
+        mapped(guard, 1, stop, begin, stop)  # at first there is nothing to undo
+    assert done == ["undone", True]
+    assert guard.half_mapped == ""
+    mapped(guard, 2, begin, guard.changes_stay, stop, lambda: done.append(guard.undo()))
+    mapped(guard, 3, lambda: done.append(guard.undo()))  # nothing has changed
+    assert done == ["undone", True, False, True]
+
+
+def test_a_signal_waits_for_the_end_of_the_changes_or_for_a_place_to_stop():
+    heard = []
+    before = signal.signal(signal.SIGINT, lambda *_: heard.append("now"))
+    try:
+        guard = FrameGuard()
+        with guard.while_mapping(1):
+            signal.raise_signal(signal.SIGINT)
+            assert heard == ["now"]  # nothing is changed yet
+            guard.changes_begin()
+            signal.raise_signal(signal.SIGINT)
+            guard.may_stop()  # cannot be undone
+            assert heard == ["now"]
+        assert heard == ["now"] * 2
+        with guard.while_mapping(2):
+            guard.changes_begin(lambda: None)
+            signal.raise_signal(signal.SIGINT)
+            assert heard == ["now"] * 2
+            guard.may_stop()
+            assert heard == ["now"] * 3
+        assert heard == ["now"] * 3
+        signal.raise_signal(signal.SIGINT)
+        assert heard == ["now"] * 4
+    finally:
+        signal.signal(signal.SIGINT, before)
