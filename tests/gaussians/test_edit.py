@@ -301,7 +301,6 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"set": {"xyz_W": (mask(6, 1), torch.ones(1, 3, dtype=torch.int64))}}, "xyz_W must not be torch.int64"),
     ({"set": {"opacity": (torch.tensor([-1]), SIX[:1] / 2)}}, "rows of opacity: rows must be between 0 and 5"),
     ({"clone": torch.ones(1, 1, dtype=torch.int64)}, "clone must be row numbers"),
-    ({"split": mask(6, 3), "keep": ~mask(6, 3)}, "row 3 is both split and removed"),
     ({"relocate": (torch.tensor([1]), torch.tensor([2])), "keep": ~mask(6, 1)}, "row 1 is both relocated and removed"),
     ({"relocate": torch.tensor([1, 2])}, "relocate must be a pair of row numbers"),
     ({"relocate": (torch.tensor([1]), torch.tensor([7]))}, "relocate: rows must be between 0 and 5, got 7 to 7"),

@@ -165,6 +165,7 @@ def test_monogs_like_gives_hidden_ones_an_opacity_of_their_own(frame, values, re
     if set_to is None:
         assert edit is None
     else:
+        assert edit is not None
         rows, opacity = edit.set["opacity"]
         assert rows.tolist() == [False, True, True]
         assert opacity.tolist() == pytest.approx(set_to)
