@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from gsfusion_nb.backends import use_backend
+from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.render import render_forward, render_vjp
-from gsfusion_nb.types import GaussianParams
+from gsfusion_nb.types import Camera, GaussianParams
 
 
 def test_many_gaussians_in_a_tile(make_scene, make_camera, make_images, draw_both, compare_pictures, compare_gradients):
@@ -60,3 +61,26 @@ def test_no_tile_is_listed_in_vain_and_none_is_missing(make_scene, make_camera, 
     assert listed[needed].all()
     assert needed.sum() > 50
     assert (listed & ~needed).sum() <= 0.1 * needed.sum()
+
+
+def test_gradients_of_needles_keep_their_digits(to):
+    """Of 1000:1, against float64: -Q v_Q Q has entries as large as 1 / blur^2, which cancel along the needle."""
+    n, camera = 6, Camera(width=40, height=30, fx=300.0, fy=300.0, cx=20.0, cy=15.0)
+    generator = torch.Generator().manual_seed(0)
+    place = torch.rand(n, 3, generator=generator) * torch.tensor([0.2, 0.15, 0.5]) + torch.tensor([-0.1, -0.08, 2.0])
+    params = GaussianParams(
+        xyz_W=place,
+        log_scale=torch.tensor([0.3, 3e-4, 3e-4]).log().repeat(n, 1),
+        quat=quaternion.normalise(torch.randn(n, 4, generator=generator)),
+        opacity_logit=torch.randn(n, generator=generator),
+        sh=0.4 * torch.randn(n, 1, 3, generator=generator),
+    )
+    v_rgb = torch.randn(camera.height, camera.width, 3, generator=generator)
+    exact = GaussianParams(**{name: value.double() for name, value in vars(params).items()})
+    _, saved = render_forward.reference(exact, camera, torch.eye(4, dtype=torch.float64))
+    expected = render_vjp.reference(saved, v_rgb.double())
+    with use_backend("cuda"):
+        found = render_vjp(render_forward(to(params), camera, to(torch.eye(4)))[1], to(v_rgb))
+    for name in ("log_scale", "quat", "xyz_W"):
+        value, true = getattr(found, name).cpu().double(), getattr(expected, name)
+        assert (value - true).abs().max() < 1e-3 * true.abs().max(), name
