@@ -174,6 +174,14 @@ def test_records_of_nested_tables():
     assert found == [{"label": "disc/500", "error": 1.0}, {"label": "blended/500", "error": 2.0}]
 
 
+def test_a_label_that_is_a_number_is_found(tmp_path):
+    (tmp_path / "runs.csv").write_text("label,seed,metric.psnr_held_out_db\n0,0,23.5\n10,0,25.5\n10,1,26.5\n")
+    records = measured.records_of("gsfusion-nb study table-vi room", tmp_path, tmp_path)
+    assert (
+        measured.cell("{vi; 10; psnr_held_out_db}, {vi; 0; psnr_held_out_db}", {"vi": records}) == "26.00 ± 0.71, 23.50"
+    )
+
+
 def test_a_table_of_the_lab_has_a_row_for_each_rule_with_means_over_scenes():
     def rule(name, psnr, test):
         scenes = {scene: {"psnr_db": {"mean": p}} for scene, p in zip("ab", psnr, strict=True)}

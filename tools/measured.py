@@ -228,9 +228,7 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
                 return leaves(json.loads(done.stdout.strip().splitlines()[-1]))
         if what in ("sweep", "study") and (out / "runs.csv").is_file():
             rows = csv.DictReader((out / "runs.csv").read_text(encoding="utf-8").splitlines())
-            return [
-                {k.removeprefix("metric."): float(t) if NUMBER.fullmatch(t) else t for k, t in r.items()} for r in rows
-            ]
+            return [{k.removeprefix("metric."): _value_of(k, t) for k, t in r.items()} for r in rows]
         if what == "bench":
             rows = json.loads(bench.read_text(encoding="utf-8"))["rows"]
             return [row | row.pop("values") | (row.pop("timing") or {}) for row in rows]
@@ -239,6 +237,11 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
         path = out / ("metrics.json" if what == "map" else "table.json")
         found = json.loads(path.read_text(encoding="utf-8"))
         return of_the_lab(found) if what == "lab" else leaves(found.get("metrics", found))
+
+
+def _value_of(column: str, text: str) -> float | str:
+    """A cell of runs.csv; a label stays text, also "10"."""
+    return float(text) if column != "label" and NUMBER.fullmatch(text) else text
 
 
 def leaves(table: Any, label: str = "") -> list[Record]:
