@@ -53,7 +53,7 @@ class SurfelModel(GaussianModel):
 
     @property
     def confidence(self) -> Int[Tensor, " N"]:
-        """eta: number of optimisation steps that changed the colour of each row."""
+        """Optimisation steps that changed the colour of each row; times the size of a step they are eta."""
         return self._columns["confidence"][: len(self)]
 
     @property

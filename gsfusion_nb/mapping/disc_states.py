@@ -47,7 +47,7 @@ def why_never_stable(steps: Sequence[StepReport], config: RtgSlamConfig, most_st
         config: Its settings.
         most_steps: Largest number of steps that changed the colour of a Gaussian of the map.
     """
-    if not steps or any(step.counts["stabilised"] for step in steps):
+    if not steps or any(step.counts["stabilised"] or n_stable(step) for step in steps):
         return ""
     confidence = most_steps * config.window.confidence_per_step
     return (

@@ -65,6 +65,8 @@ def test_a_run_without_stable_gaussians_says_what_is_missing():
     assert "above states.stable_confidence 90, the highest is 60;" in sentence
     released = step(5, stabilised=1, unstable_opaque=5)  # it was released in the same frame
     assert why_never_stable([unstable, released], config, most_steps=40) == ""
+    edited = step(5, stable_opaque=1, unstable_opaque=4)  # a rule set the state
+    assert why_never_stable([edited], config, most_steps=0) == ""
     assert why_never_stable([], config, most_steps=0) == ""
 
 
