@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb.optim import (
+    ViewLoss,
     add_penalties_,
     depth_l1,
     depth_l1_vjp,
@@ -279,3 +280,18 @@ def test_values_outside_the_mask_may_be_anything(generator):
     loss = rgbd_l1_vjp(rgb, depth_m, target, target_m, pixels)
     assert loss.total == clean.total
     assert torch.equal(loss.v_rgb, clean.v_rgb)
+
+
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_a_loss_without_its_graph(with_depth):
+    """In the type of the picture, as numbers only."""
+    given = torch.rand(2, 3, 3, dtype=torch.float64, requires_grad=True)
+    depth = given[..., 0] * 2 if with_depth else None
+    loss = ViewLoss(value=given.sum(), v_rgb=2 * given, v_depth_m=depth).detached(torch.zeros(1))
+    assert loss.v_rgb.dtype == loss.value.dtype == torch.float32
+    assert not loss.v_rgb.requires_grad
+    assert not loss.value.requires_grad
+    assert (loss.v_depth_m is not None) == with_depth
+    if loss.v_depth_m is not None:
+        assert not loss.v_depth_m.requires_grad
+        torch.testing.assert_close(loss.v_depth_m, loss.v_rgb[..., 0])
