@@ -436,3 +436,12 @@ def test_no_number_if_no_view_shows_the_mesh():
     assert mesh_psnr(mesh_of(at(3, 1, 2.0, [0.5] * 3)), [frame(5.0)]) == NotComputed(
         "no view shows a vertex of the mesh"
     )
+
+
+@pytest.mark.parametrize(("side", "enough"), [(10, False), (11, True)])
+def test_a_score_without_its_border_needs_a_picture_that_is_larger(side, enough):
+    """Five pixels are left out on each side."""
+    picture = torch.rand(side, 20, 3, generator=torch.Generator().manual_seed(0))
+    frames = [frame_of(0, picture, torch.ones(side, 20))]
+    [row] = score_views(lambda camera, T_WC: view_of(picture, torch.ones(side, 20)), frames).rows
+    assert math.isnan(row.ssim_as_released) != enough
