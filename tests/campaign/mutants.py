@@ -35,6 +35,8 @@ TESTS = (
     *("data", "recordings", "runs", "compare", "kernels"),
 )
 """Folders of the tests that count."""
+SURVIVED = ("survived", "not executed")
+"""What becomes of a mutant that no test notices."""
 MOST_S = 30.0
 """Of tests for one mutant, seconds."""
 
@@ -75,7 +77,7 @@ def campaign(options: argparse.Namespace, folder: Path) -> list[dict]:
     verdicts = read_verdicts(options.results) if options.results else []
     known = {(v["operator"], v["occurrence"], *key_of(v)) for v in verdicts}
     if options.again:
-        found = [v for v in read_verdicts(options.again) if v["verdict"] == "survived"]
+        found = [v for v in read_verdicts(options.again) if v["verdict"] in SURVIVED]
         mutants = [moved for v in found for moved in moved_to(tree, v)]
     else:
         mutants = [
@@ -161,7 +163,7 @@ def listed() -> dict[tuple[str, str, str], str]:
 def of_list(verdict: dict, known: dict[tuple[str, str, str], str]) -> str:
     """The verdict; for a survivor that is listed, as what."""
     what = str(verdict["verdict"])
-    return known.get(key_of(verdict), what) if what in ("survived", "not executed") else what
+    return known.get(key_of(verdict), what) if what in SURVIVED else what
 
 
 KINDS = ("killed", "timed out", "survived", "not executed", "untested", "equivalent")
@@ -185,7 +187,7 @@ def report(verdicts: Iterable[dict], known: dict[tuple[str, str, str], str]) -> 
     """The survivors that are not listed, and a table by room."""
     lines = []
     for verdict in verdicts:
-        if (what := of_list(verdict, known)) in ("survived", "not executed"):
+        if (what := of_list(verdict, known)) in SURVIVED:
             lines.append(f"{what}: {verdict['file']}:{verdict['line']}")
             lines += [f"    - {verdict['original']}", f"    + {verdict['changed']}"]
     rooms = by_room(verdicts, known)
