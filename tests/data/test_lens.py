@@ -130,7 +130,9 @@ def test_same_proportions(first, second, same):
     assert same_proportions(first, second) == same_proportions(second, first) == same
     model = CameraModel(Camera(width=first[0], height=first[1], fx=50.0, fy=50.0, cx=30.0, cy=20.0))
     if same:
-        assert np.array_equal(model.fitted(*second, "an image").camera.K, model.camera.resized(*second).K)
+        width, height = second
+        fitted = model.fitted(width, height, "an image").camera
+        assert np.array_equal(fitted.K, model.camera.resized(width, height).K)
     else:
         with pytest.raises(SequenceError, match=r"an image is .* of other proportions"):
-            model.fitted(*second, "an image")
+            model.fitted(second[0], second[1], "an image")

@@ -89,8 +89,12 @@ def test_a_small_file_cannot_ask_for_much_memory(tmp_path, monkeypatch):
     n = 100_000
     coords = np.zeros((n, 3), np.int32)
     coords[:, 0] = np.arange(n)
-    nothing = {"D": np.zeros(0, np.int16), "W": np.zeros(0, np.float16), "rgb": np.zeros((3, 0), np.uint8)}
-    size = {"voxel_size_m": CONFIG.voxel_size_m, "truncation_m": CONFIG.truncation_m}
+    nothing: dict[str, Any] = {
+        "D": np.zeros(0, np.int16),
+        "W": np.zeros(0, np.float16),
+        "rgb": np.zeros((3, 0), np.uint8),
+    }
+    size: dict[str, Any] = {"voxel_size_m": CONFIG.voxel_size_m, "truncation_m": CONFIG.truncation_m}
     path = tmp_path / "tsdf.npz"
     np.savez_compressed(path, block_coords=coords, observed=np.zeros((n, 64), np.uint8), **nothing, **size)
     with pytest.raises(ValueError, match=r"tsdf\.npz of .* MB asks for 1\.0 GB of memory"):

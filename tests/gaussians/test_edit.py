@@ -310,8 +310,9 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize("how", ["split", "clone"])
 def test_a_row_that_is_split_or_copied_and_removed_goes_with_what_is_made_of_it(generator, how):
     """gsplat's order: duplicate and split, then prune. The other rows are what they are without the removed one."""
-    both = Edit(**{how: mask(6, 1, 4), "keep": ~mask(6, 1)})
-    apart = Edit(**{how: mask(6, 4), "keep": ~mask(6, 1)})
+    keep = ~mask(6, 1)
+    both = Edit(split=mask(6, 1, 4), keep=keep) if how == "split" else Edit(clone=mask(6, 1, 4), keep=keep)
+    apart = Edit(split=mask(6, 4), keep=keep) if how == "split" else Edit(clone=mask(6, 4), keep=keep)
     models = [filled(torch.Generator().manual_seed(3)) for _ in range(2)]
     for model, edit in zip(models, (both, apart), strict=True):
         model.edit(edit, torch.Generator().manual_seed(5))

@@ -2,6 +2,7 @@
 
 import copy
 import random
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
@@ -15,7 +16,7 @@ from gsfusion_nb.render import Boxes
 from gsfusion_nb.types import GaussianParams, Seeds
 
 RATES = {"xyz_W": 1e-3, "log_scale": 1e-2, "quat": 1e-3, "sh_dc": 1e-2, "sh_rest": 1e-3}
-CLOSE = {"atol": 1e-5, "rtol": 1e-4}
+CLOSE: dict[str, Any] = {"atol": 1e-5, "rtol": 1e-4}
 
 
 def seeds(n, generator):

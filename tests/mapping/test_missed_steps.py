@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import importlib
+from typing import Any
 
 import pytest
 import torch
@@ -155,7 +156,7 @@ def test_the_passes_begin_and_end_without_missed_steps(system, half_stepped):
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_the_files_of_a_run_hold_the_map_without_missed_steps(system, tmp_path):
     config = settings(system, "measured", data__stop=6, data__width=0, data__height=0)
-    room = {"n_frames": 60, "width": 64, "height": 48}
+    room: dict[str, Any] = {"n_frames": 60, "width": 64, "height": 48}
     run = run_mapping("room", config=config, folder=tmp_path / "run", evaluate=False, **room)
     stored, mapper = read_gaussian_ply(tmp_path / "run/gaussians.ply"), run.mapper
     assert run.metrics["n_not_finite"] == 0

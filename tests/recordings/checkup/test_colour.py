@@ -60,7 +60,9 @@ class Pan:
     ``speeds`` are pixels per frame, right and down; colour is that of ``lag`` frames later, moved by ``shift``.
     """
 
-    name, camera = "pan", CAMERA
+    name = "pan"
+    camera = CAMERA
+    has_poses = True
 
     def __init__(self, speeds, *, lag=0.0, shift=(0, 0)):
         generator = np.random.default_rng(0)
