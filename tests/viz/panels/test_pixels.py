@@ -141,9 +141,7 @@ def mapper(generator):
     base = Base(rgb=torch.full((*size, 3), 0.4), depth_m=depth_m, weight=weight)
     below = BaseView(base=base, depth_everywhere_m=depth_m, behind_m=0.1)
     output = render_over_base(params, MIDDLE, EYE, base, behind_m=0.1)[0]
-    return SimpleNamespace(
-        gaussians=SimpleNamespace(params=params), below=lambda *_: below, render=lambda *_: output, output=output
-    )
+    return SimpleNamespace(params_now=lambda: params, below=lambda *_: below, render=lambda *_: output, output=output)
 
 
 def test_the_mean_is_the_rendered_pixel_in_any_order(mapper, generator):
