@@ -15,12 +15,28 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from platformdirs import user_cache_path
+
 from ..files import cache_folder
 from .code_values import CHECKS_TYPES, is_library_namespace
 from .installed import is_installed
 
 _PACKAGE = __name__.partition(".")[0]
-SYSTEM_FOLDERS = ("/dev", "/proc", "/sys", "/etc", "/usr", sys.prefix, sys.base_prefix, str(Path(__file__).parents[1]))
+
+
+def _folders_of_kernels() -> list[str]:
+    """Where the package's kernels are, which may lie beside it, and where numba keeps them compiled."""
+    found = importlib.util.find_spec(f"{_PACKAGE}.kernels")
+    sources = found.submodule_search_locations or () if found is not None else ()
+    compiled = (os.environ.get("NUMBA_CACHE_DIR"), user_cache_path("numba", appauthor=False, opinion=False))
+    return [str(folder) for folder in (*sources, *compiled) if folder]
+
+
+SYSTEM_FOLDERS = (
+    *("/dev", "/proc", "/sys", "/etc", "/usr", sys.prefix, sys.base_prefix, str(Path(__file__).parents[1])),
+    *_folders_of_kernels(),
+)
+"""What the rule's own process may read without being told: the system, Python, and this package."""
 _COMPILED = {".nbi", ".nbc"}
 _IMPORT = {"importlib._bootstrap_external", "_frozen_importlib_external"}
 _NEW = os.O_CREAT | os.O_EXCL
