@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from ...checks import shown
+from ...config.values import nested
 from ...data.lens import CameraModel
 from ...data.sequence import SequenceError
 from ...files import parsing, read_object, read_text, refusing
@@ -52,7 +53,7 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
         values = [float(w) for w in text_or_file.replace(",", " ").split()]
         source = f"intrinsics {shown(text_or_file)}"
     except ValueError:
-        tree = {} if path.suffix == ".npy" else _named_values(read_text(path, WAYS))
+        tree = {} if path.suffix == ".npy" else _named_values(read_text(path, WAYS), path)
         if tree:
             return model_of_tree(tree, size, str(path), centre=centre)
         values = _numbers_of(path)
@@ -328,48 +329,40 @@ for _tag in ("opencv-matrix", "opencv-nd-matrix"):
 
 
 def _yaml_tree(path: Path) -> Tree:
-    """Names and values of a YAML file, also of one that OpenCV wrote; names with dots become groups."""
+    """Names and values of a YAML file, also of one that OpenCV or ORB-SLAM wrote; names with dots become groups."""
     text = re.sub(r"^%YAML:[\d.]+", "", read_text(path, WAYS))
     with parsing(path, f"the camera's intrinsics as {WAYS}"):
         try:
             tree = yaml.load(text, _CameraLoader)  # a SafeLoader
         except yaml.YAMLError:
             tree = None
-    if not isinstance(tree, Mapping):
-        tree = _named_values(text)
-    return _in_groups(tree)
-
-
-def _in_groups(tree: Tree) -> Tree:
-    """``{"Camera.fx": 525}`` as ``{"Camera": {"fx": 525}}``."""
-    groups: dict[str, Any] = {}
-    for name, value in tree.items():
-        *path, last = str(name).split(".")
-        node = groups
-        for part in path:
-            node = node.setdefault(part, {})
-        node[last] = value
-    return groups
+        if isinstance(tree, Mapping):
+            return nested({str(name): value for name, value in tree.items()}, ".")
+    return _named_values(text, path)
 
 
 _LINE = re.compile(r"^\W*([A-Za-z_][\w.]*)[\"']?\s*[:=\s]\s*(\S.*?)\s*$")
 _SECTION = re.compile(r"^\s*\[([^\]]*[A-Za-z][^\]]*)\]\s*$")
 
 
-def _named_values(text: str) -> Tree:
-    """Names and numbers of lines such as "fx: 525", in sections such as "[rgb]"; empty where nothing has a name."""
-    tree: dict[str, Any] = {}
-    group = tree
+def _named_values(text: str, path: Path) -> Tree:
+    """Names and numbers of lines such as "fx: 525", in sections such as "[rgb]"; empty where nothing has a name.
+
+    Names with dots become groups: "Camera.fx: 525" is fx in the group Camera.
+    """
+    values: dict[str, Any] = {}
+    section = ""
     for line in text.splitlines():
-        section = _SECTION.match(line)
-        if section:
-            group = tree.setdefault(section[1], {})
+        heading = _SECTION.match(line)
+        if heading:
+            section = f"{heading[1]}."
             continue
         for part in re.split(r"[,;](?=\s*[A-Za-z_])", line):
             named = _LINE.match(part)
             if named and not line.lstrip().startswith(("#", "//")):
-                group[named[1]] = _value(named[2])
-    return _in_groups(tree)
+                values[section + named[1]] = _value(named[2])
+    with parsing(path, f"the camera's intrinsics as {WAYS}"):
+        return nested(values, ".")
 
 
 def _value(text: str) -> Any:

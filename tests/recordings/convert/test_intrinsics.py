@@ -170,6 +170,13 @@ def test_what_would_change_the_camera_is_refused_by_name(tmp_path, name, text, w
     assert "damaged" not in str(error.value)
 
 
+@pytest.mark.parametrize("name", ["camera.yaml", "camera.txt"])
+def test_a_name_that_is_a_value_and_a_group_is_one_sentence(tmp_path, name):
+    (tmp_path / name).write_text("Camera: 1\nCamera.fx: 208.5\nCamera.fy: 209.5\n")
+    with pytest.raises(SequenceError, match=name):
+        read_intrinsics(str(tmp_path / name), SIZE)
+
+
 def test_yaml_runs_no_code(tmp_path):
     (tmp_path / "camera.yaml").write_text("fx: !!python/object/apply:os.system ['touch here']\nfy: 1\ncx: 1\ncy: 1\n")
     with pytest.raises(SequenceError):
