@@ -89,7 +89,7 @@ def _read(source: Path) -> tuple[GaussianParams, Mesh | None]:
 def _moving_camera(source: Path) -> dict[str, Any]:
     """Intrinsics, poses and times of a run; empty, with a sentence, where the source does not have them."""
     from ..export import read_trajectory_tum
-    from ..files import read_object
+    from ..files import parsing, read_object
 
     file = source / "config.json"
     settings = read_object(file, "the settings of a run") if file.is_file() else {}
@@ -97,7 +97,9 @@ def _moving_camera(source: Path) -> dict[str, Any]:
         print(f"{source} does not say which camera it was mapped with, so the stage has none.")
         return {}
     times_s, poses = read_trajectory_tum(source / "trajectory.txt")
-    return {"camera": Camera(**settings["camera"]), "poses": poses, "times_s": times_s}
+    with parsing(source / "config.json", "the settings of a run, with width, height, fx, fy, cx and cy of its camera"):
+        camera = Camera(**settings["camera"])
+    return {"camera": camera, "poses": poses, "times_s": times_s}
 
 
 def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianParams:

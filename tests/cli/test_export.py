@@ -64,6 +64,13 @@ def test_an_openusd_stage_has_the_camera_that_the_run_names(folder, tmp_path, ca
     assert "def Mesh" not in text
 
 
+def test_a_camera_without_its_width_is_a_sentence(folder, tmp_path, capsys):
+    camera = {"height": 48, "fx": 60.0, "fy": 58.0, "cx": 31.3, "cy": 24.9}
+    (folder / "config.json").write_text(json.dumps({"camera": camera}))
+    assert main(["export", str(folder), str(tmp_path / "map.usda"), "--no-mesh"]) == 1
+    assert "config.json is not readable as the settings of a run, with width" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("out", "more", "sentence"),
     [

@@ -90,7 +90,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             )
 
     if not numbers:
-        raise SequenceError(f"{path} holds no frames; expected {pattern}0.jpg and so on")
+        expected = "rgbd/0.jpg" if path.is_file() else "rgbd/0.jpg, or rgb/0.jpg of the EXR export,"
+        raise SequenceError(f"{path} holds no frames; expected {expected} and so on")
     note = "confidence is not in this export" if exported else f"depth of confidence {options.confidence} and above"
     return Recording(
         name=str(path),

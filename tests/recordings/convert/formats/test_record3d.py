@@ -126,6 +126,9 @@ def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     ):
         with pytest.raises(SequenceError, match=source.name):
             convert(source, tmp_path / "out")
+    empty = write_r3d(tmp_path / "f.r3d", {"metadata": members(takes)["metadata"]})
+    with pytest.raises(SequenceError, match=r"f\.r3d holds no frames; expected rgbd/0\.jpg and so on"):
+        convert(empty, tmp_path / "out")
     files = members(takes) | {"rgbd/2.depth": b"garbage"}
     report = convert(write_r3d(tmp_path / "e.r3d", files), tmp_path / "out")
     assert report.dropped == {"image missing or damaged": 1}
