@@ -23,6 +23,7 @@ from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.types import Camera, GaussianParams, Mesh
 
 TESTS = Path(__file__).resolve().parents[1]
+PLUGINS = TESTS / "plugins"
 GL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 BOMB_BYTES = 1_200_000_000
 
@@ -43,6 +44,8 @@ def of_tests(path: str) -> ModuleType:
     """A module of the test suite, whose writers of foreign formats are used here."""
     name = "campaign_" + path.replace("/", "_").removesuffix(".py")
     if name not in sys.modules:
+        if str(PLUGINS) not in sys.path:  # as pytest's setting ``pythonpath`` has it
+            sys.path.append(str(PLUGINS))
         spec = importlib.util.spec_from_file_location(name, TESTS / path)
         assert spec is not None
         assert spec.loader is not None
