@@ -103,7 +103,8 @@ class Speckled:
     """Frames of the built-in room with single pixels of depth missing everywhere, ten times too far."""
 
     def __init__(self, valid: float):
-        self.frames = [room(n_frames=120, width=160, height=120)[2 * i] for i in range(8)]
+        source = room(n_frames=120, width=160, height=120)
+        self.frames = [source[2 * i] for i in range(8)]
         self.valid = valid
         self.camera = self.frames[0].camera
         self.name = "speckled"
@@ -122,7 +123,7 @@ class Speckled:
         return self.frames[i].T_WC
 
 
-@pytest.mark.parametrize("valid", [0.7, 0.5, 0.3])
+@pytest.mark.parametrize("valid", [0.5, 0.3])
 def test_the_unit_of_speckled_depth_is_found(valid):
     report = check_recording(Speckled(valid), pictures=False)
     findings = {finding.name: finding for finding in report.findings}
