@@ -3,7 +3,7 @@
 import math
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -63,12 +63,15 @@ CALIBRATION_SUFFIXES = (".txt", ".json", ".npy", ".yaml", ".yml", ".pincam")
 
 def calibration_in(*folders: Path) -> Path | None:
     """The first calibration file in some folders; None if there is none."""
-    for folder in folders:
-        for pattern in CALIBRATIONS:
-            found = [p for p in sorted(folder.glob(pattern)) if p.suffix.lower() in CALIBRATION_SUFFIXES]
-            if found:
-                return found[0]
-    return None
+    found = (first_of(folder, CALIBRATIONS, CALIBRATION_SUFFIXES) for folder in folders)
+    return next(filter(None, found), None)
+
+
+def first_of(folder: Path, patterns: Iterable[str], suffixes: Collection[str]) -> Path | None:
+    """The first file, or folder, that a pattern finds and that has one of the suffixes, those of earlier patterns
+    first; None if there is none."""
+    found = (p for pattern in patterns for p in sorted(folder.glob(pattern)) if p.suffix.lower() in suffixes)
+    return next(found, None)
 
 
 def images_in(folder: Path, suffixes: tuple[str, ...] = (".jpg", ".jpeg", ".png", ".webp")) -> list[Path]:

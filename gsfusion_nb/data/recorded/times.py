@@ -72,12 +72,11 @@ def read_image_list(path: Path, *, per_line: int = 1) -> list[list[tuple[float, 
     rows = []
     for line_number, line in read_lines(path, f"lines '{what}'"):
         found = pattern.fullmatch(line)
-        if found is None:
+        groups = () if found is None else found.groups()
+        numbers = [_finite(text) for text in groups[::2]]
+        if not numbers or None in numbers:
             raise SequenceError(f"{path} line {line_number} must be '{what}', got {shown(line)}")
-        numbers = [_finite(text) for text in found.groups()[::2]]
-        if None in numbers:
-            raise SequenceError(f"{path} line {line_number} must be '{what}', got {shown(line)}")
-        files = [_listed_file(path.parent, name) for name in found.groups()[1::2]]
+        files = [_listed_file(path.parent, name) for name in groups[1::2]]
         rows.append(list(zip(numbers, files, strict=True)))
     return rows
 
@@ -150,16 +149,16 @@ PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "100ns": 1e7, "ns": 1e9}
 LARGEST_STEP = {"s": 5.0, "ms": 5e3, "us": 5e5, "ns": float("inf")}
 """A median step above this belongs to the next finer unit: 5 s, 5 s, and 0.5 s, since 5e5 ns are 2 kHz. Ticks are known
 by their dates alone."""
-DATES = {
-    "s": (1e9, 1e10),
-    "ms": (1e12, 1e13),
-    "us": (1e15, 1e16),
-    "ns": (1e18, 1e19),
-    "100ns": (1.26e17, 1.6e17),
-}
-"""Numbers that are dates: from 2001 to 2286 since 1970, or, in ticks, from 2000 to 2107 since 1601."""
-NET_TICKS = (6.3e17, 6.7e17)
-"""Ticks since the year 1, from 1997 to 2124."""
+DATES = (
+    ("s", 1e9, 1e10),
+    ("ms", 1e12, 1e13),
+    ("us", 1e15, 1e16),
+    ("ns", 1e18, 1e19),
+    ("100ns", 1.26e17, 1.6e17),
+    ("100ns", 6.3e17, 6.7e17),
+)
+"""Unit, first and last of numbers that are dates: from 2001 to 2286 since 1970, or, in ticks, from 2000 to 2107 since
+1601 (Windows), and from 1997 to 2124 since the year 1 (.NET)."""
 MOST_PER_SECOND = 1000.0
 """No depth camera takes more frames per second: numbers that are nearer to each other are not times."""
 _REPEATED = 0.1
@@ -236,9 +235,7 @@ def judge_stamps(
 
 def date_unit(value: float) -> str:
     """The unit in which a number is a date of today; empty if it is none."""
-    if NET_TICKS[0] <= abs(value) < NET_TICKS[1]:
-        return "100ns"
-    return next((unit for unit, (first, last) in DATES.items() if first <= abs(value) < last), "")
+    return next((unit for unit, first, last in DATES if first <= abs(value) < last), "")
 
 
 def time_unit(increasing: abc.Sequence[float]) -> str:

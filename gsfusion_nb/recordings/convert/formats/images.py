@@ -20,7 +20,14 @@ from torch import Tensor
 from ....data.lens import CameraModel
 from ....data.readers.seven_scenes import calibrated_folders
 from ....data.readers.tum import LENSES, MAX_TIME_DIFFERENCE_S, benchmark_camera
-from ....data.recorded.files import CALIBRATION_SUFFIXES, calibration_in, images_in, natural_order, told_outside
+from ....data.recorded.files import (
+    CALIBRATION_SUFFIXES,
+    calibration_in,
+    first_of,
+    images_in,
+    natural_order,
+    told_outside,
+)
 from ....data.recorded.images import read_rgb
 from ....data.recorded.times import Stamps, associate, common_unit, judge_stamps
 from ....data.sequence import BadFrameError, SequenceError
@@ -315,12 +322,6 @@ _POSES = (
 )
 
 
-def _beside(path: Path, patterns: Sequence[str], suffixes: Sequence[str]) -> str:
-    """The first of these files, or folders, which have no suffix; empty if there is none."""
-    found = (p for pattern in patterns for p in sorted(path.glob(pattern)) if p.suffix.lower() in suffixes)
-    return str(next(found, ""))
-
-
 def recording_of(
     path: Path,
     found: FrameFiles,
@@ -342,13 +343,15 @@ def recording_of(
         scale, *unit = find_depth_unit(path, some_depths([depth for _, depth in found.pairs]))
     of_folder, about = _model(path, found, scale, options)
     model = of_folder or model
-    of_depth, depth_model = _beside(path, _OF_DEPTH, CALIBRATION_SUFFIXES), None
+    of_depth = first_of(path, _OF_DEPTH, CALIBRATION_SUFFIXES)
+    depth_model = None
     if of_depth:
         height, width = read_depth_file(next((d for _, d in found.pairs if is_file(d)), found.pairs[0][1]), 1.0).shape
-        depth_model = read_intrinsics(of_depth, (width, height))
+        depth_model = read_intrinsics(str(of_depth), (width, height))
         about.append(f"intrinsics of depth from {of_depth}")
     images = found.pairs[0][0].parent
-    poses = _beside(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or str(images) * any(images.glob("*pose.txt"))
+    poses = str(first_of(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or "")  # folders have no suffix
+    poses = poses or str(images) * any(images.glob("*pose.txt"))
     unknown = [None] * len(found.pairs)
     frames = [*zip(found.pairs, found.times_s or unknown, found.depth_times_s or unknown, T_WC or unknown, strict=True)]
 
