@@ -204,10 +204,19 @@ def _eval(arguments: list[str]) -> int:
 
 
 def _compare(name: str, arguments: list[str]) -> int:
+    from ..seeding.named_rules import RuleNotNamedError
+    from .permission import ask_or_refuse
+
     module, function, options = _COMPARING[name]
     found = importlib.import_module(f"gsfusion_nb.compare.{module}")
-    parsed = parse_options(getattr(found, options), prog=f"gsfusion-nb {name}", arguments=arguments)
-    return getattr(found, function)(parsed)
+    prog = f"gsfusion-nb {name}"
+    try:
+        return getattr(found, function)(parse_options(getattr(found, options), prog=prog, arguments=arguments))
+    except RuleNotNamedError as e:
+        files = dict.fromkeys(rule.rpartition(":")[0] for rule in e.rules)
+        named = [word for file in files for word in ("--rule-file", file)]
+        ask_or_refuse(e, prog, arguments, named)
+    return _compare(name, [*arguments, *named])
 
 
 def _doctor(arguments: list[str]) -> int:

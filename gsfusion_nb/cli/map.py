@@ -9,14 +9,17 @@ import tyro
 from ..backends import use_backend
 from ..config import TsdfConfig, replace
 from ..config.values import named
+from ..seeding.named_rules import RuleNotNamedError
 from ..seeding.rule_code import is_rule_file
 from ..work import MAP_MEMORY
+from .permission import ask_or_refuse
 from .result import print_result
 from .settings import SettingsOptions, layout_names, parse, recording_to_open
 
 if TYPE_CHECKING:
     from ..config import SystemConfig
     from ..data import OpenedSequence, SequenceView
+    from ..runs import CheckpointEvery, FinishedRun
 
 _WITH_RESUME = (
     "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
@@ -44,7 +47,8 @@ class MapOptions(SettingsOptions):
     """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the recording's poses; they
     are optimised with the new ones. GSFusion only."""
     resume: str = ""
-    """Folder of an interrupted run to continue; no other option is needed."""
+    """Folder of an interrupted run to continue; no other option is needed, but --seeding.rule if its rule came from a
+    file, which is executed."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     checkpoint_every_s: float = 30.0
@@ -67,7 +71,7 @@ def run(arguments: list[str]) -> int:
     """
     options = parse(MapOptions, "gsfusion-nb map", arguments, data="data")
     from ..data import open_sequence
-    from ..runs import CheckpointEvery, resume_mapping, run_mapping
+    from ..runs import CheckpointEvery, run_mapping
 
     every = CheckpointEvery(seconds=options.checkpoint_every_s, frames=options.checkpoint_every_frames)
     if options.memory_gb and options.device != "cpu":
@@ -77,14 +81,7 @@ def run(arguments: list[str]) -> int:
         options.check_device()
         if options.resume:
             _refuse_more(options, arguments)
-            finished = resume_mapping(
-                options.resume,
-                seeding=options.config.seeding.rule if is_rule_file(options.config.seeding.rule) else None,
-                device=options.device,
-                evaluate=options.evaluate,
-                checkpoints=every,
-            )
-            return print_result(finished)
+            return print_result(_resumed(options, arguments, every))
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
         settings, (data, reader) = options.settings(), recording_to_open(options, options.data)
@@ -108,6 +105,24 @@ def run(arguments: list[str]) -> int:
             **reader,
         )
     return print_result(finished)
+
+
+def _resumed(options: MapOptions, arguments: list[str], every: "CheckpointEvery") -> "FinishedRun":
+    """Continue a run; its rule's file is executed only if it was named, or if the user allows it now."""
+    from ..runs import resume_mapping
+
+    def resumed(rule: str | None) -> "FinishedRun":
+        return resume_mapping(
+            options.resume, seeding=rule, device=options.device, evaluate=options.evaluate, checkpoints=every
+        )
+
+    named = options.config.seeding.rule
+    try:
+        return resumed(named if is_rule_file(named) else None)
+    except RuleNotNamedError as e:
+        ask_or_refuse(e, "gsfusion-nb map", arguments, ("--seeding.rule", *e.rules))
+        allowed = e.rules[0]
+    return resumed(allowed)
 
 
 def _refuse_more(options: MapOptions, arguments: list[str]) -> None:

@@ -23,7 +23,9 @@ def print_result(run: "FinishedRun") -> int:
     if lost and not interrupted:
         print(f"Tracking was lost and not found again: the last {lost} frames are not in the map.")
     if interrupted and run.run.resumable:
-        print(f"To continue: gsfusion-nb map --resume {run.folder}")
+        from ..runs.resume import resume_command
+
+        print(f"To continue: {resume_command(run.folder, run.mapper.rule)}")
     return 130 if interrupted else 3 if lost or run.run.status == "stopped" else 0
 
 

@@ -7,15 +7,18 @@ import dataclasses
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
 from ..backends import backend_names, from_environment
 from ..checks import shown
-from ..config import SystemConfig, from_run, presets, replace, to_dict
+from ..config import SystemConfig, from_run, presets, to_dict
 from ..config.values import EVERYDAY, leaves, named, named_values, parse_options, with_own_settings
 from ..files import read_object, reason_of
+
+if TYPE_CHECKING:
+    from ..seeding.named_rules import RuleNotNamedError
 
 O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
 ROOM = "room"
@@ -61,7 +64,8 @@ class SettingsOptions:
     """What to follow where paper, released code and our measurements differ. Where none is given: measured, in each
     case the choice that gave better results."""
     from_config: str = ""
-    """The config.json of an earlier run, whose settings are used instead of system, preset and fidelity."""
+    """The config.json of an earlier run, whose settings are used instead of system, preset and fidelity. A rule of that
+    run in a file is executed, so it has to be named with --seeding.rule."""
     rule_options: tuple[str, ...] = ()
     """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
     device: str = "cpu"
@@ -120,6 +124,7 @@ def parse(options: type[O], prog: str, arguments: list[str], *, data: str = "") 
     Raises:
         KeyError, ValueError: unknown system, preset or fidelity, or a file that holds no settings.
     """
+    arguments = _with_rule_named(prog, arguments)
     preset = "replica"
     if data and ROOM in arguments and not _value_of(arguments, "--preset"):
         preset = ROOM if _mapped(options, prog, arguments, data) == ROOM else preset
@@ -178,9 +183,6 @@ def _start(arguments: list[str], preset: str) -> SystemConfig:
 
     path = _value_of(arguments, "--from-config")
     if path:
-        others = [option for option in ("--system", "--preset", "--fidelity") if _value_of(arguments, option)]
-        if others:
-            raise ValueError(f"--from-config sets all settings; leave out {' '.join(others)}, or --from-config")
         return _read_settings(Path(path), rule=_value_of(arguments, "--seeding.rule"))
     system = get_system(_value_of(arguments, "--system") or "gsfusion")
     preset, fidelity = _value_of(arguments, "--preset") or preset, _value_of(arguments, "--fidelity")
@@ -191,17 +193,55 @@ def _start(arguments: list[str], preset: str) -> SystemConfig:
     return system.preset(preset, **({"fidelity": fidelity} if fidelity else {}))
 
 
+def _with_rule_named(prog: str, arguments: list[str]) -> list[str]:
+    """``arguments`` and, if the user allows it, the rule in a file that ``--from-config`` asks for.
+
+    Nothing is executed for a help text, so nobody is asked there.
+
+    Raises:
+        SequenceError: as ``ask_or_refuse``. ValueError: options that ``--from-config`` excludes.
+    """
+    from ..seeding.named_rules import RuleNotNamedError
+    from .permission import ask_or_refuse
+
+    path = _value_of(arguments, "--from-config")
+    if not path:
+        return arguments
+    others = [option for option in ("--system", "--preset", "--fidelity") if _value_of(arguments, option)]
+    if others:
+        raise ValueError(f"--from-config sets all settings; leave out {' '.join(others)}, or --from-config")
+    if _value_of(arguments, "--seeding.rule"):
+        return arguments
+    try:
+        _read_settings(Path(path), rule=None)
+    except RuleNotNamedError as e:
+        named = ["--seeding.rule", *e.rules]
+        if not {"-h", "--help", "--help-all"} & set(arguments):
+            ask_or_refuse(e, prog, arguments, named)
+        return [*arguments, *named]
+    return arguments
+
+
 def _read_settings(path: Path, rule: str | None) -> SystemConfig:
     """The settings in a run's config.json; ``rule`` is the seeding rule to use instead of the run's, if given.
 
     Raises:
+        RuleNotNamedError: its rule is in a file, and no rule is given.
         ValueError: not the config.json of a run, or its rule is not part of this package and no other is given.
     """
     from ..mapping import get_system
+    from ..seeding.rule_code import is_rule_file
 
-    document = read_object(path, "the config.json of a run")
+    document = read_object(path, "the config.json of a run", objects=("config",))
+    name, values = document.get("rule"), document["config"]
+    seeding = values.get("seeding")
+    in_settings = seeding.get("rule") if isinstance(seeding, dict) else None
+    if isinstance(in_settings, str) and is_rule_file(in_settings):
+        if rule is None:
+            raise _not_named(path, in_settings)
+        values = {**values, "seeding": {**seeding, "rule": in_settings.rpartition(":")[2]}}
     try:
-        config = from_run(get_system(document.get("system", "gsfusion")).config_type, document["config"])
+        config = from_run(get_system(document.get("system", "gsfusion")).config_type, values)
         own_rule = config.seeding.rule
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
         raise ValueError(f"{path} is not the config.json of a run: {reason_of(e)}") from None
@@ -209,9 +249,9 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
     if given and isinstance(given, dict):
         named = ", ".join(f"{kind} {shown(name)}" for kind, name in given.items())
         raise ValueError(f"{path} is of a run with its own {named}; repeat it in Python, run_mapping(..., loss=...)")
-    name = document.get("rule", own_rule)
+    name = own_rule if name is None else name
     if rule is None and document.get("rule_from_file") and (path.parent / "rule.py").is_file():
-        return replace(config, seeding__rule=f"{path.parent / 'rule.py'}:{name}")
+        raise _not_named(path, f"{path.parent / 'rule.py'}:{name}")
     if rule is None and not document.get("rule_is_built_in", name == own_rule):
         raise ValueError(
             f"{path} is from a run with the seeding rule {shown(name)}, which is not part of this package, so it "
@@ -219,6 +259,12 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
             "run_mapping(data, config, seeding=<the rule>), or choose another rule with --seeding.rule"
         )
     return config
+
+
+def _not_named(path: Path, rule: str) -> "RuleNotNamedError":
+    from ..seeding.named_rules import RuleNotNamedError
+
+    return RuleNotNamedError(path, [rule], f"--seeding.rule {rule}")
 
 
 def _value_of(arguments: list[str], option: str) -> str | None:

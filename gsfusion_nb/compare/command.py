@@ -62,6 +62,9 @@ class LabOptions(WhereOptions):
 
     table: Annotated[str, tyro.conf.Positional] = ""
     """The file that describes the comparison (TOML)."""
+    rule_file: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A file of rules that the table names, such as --rule-file my_rules.py: its code is executed only if it is named
+    here, or after a question. Repeat it for several files."""
     new: str = ""
     """Write a commented example to this file, and do nothing else."""
 
@@ -77,7 +80,7 @@ def main(options: LabOptions) -> int:
     if not options.table:
         raise ValueError("expected the file of a comparison: gsfusion-nb lab table.toml (--new table.toml writes one)")
     with use_backend(options.backend):
-        table = read_table(options.table)
+        table = read_table(options.table, rule_files=options.rule_file)
         print(table)
         folder = Path(options.out or f"runs/{Path(options.table).stem}").expanduser()
         return run_and_write(table.specs, folder, options, table=table)[0]

@@ -16,6 +16,7 @@ from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..files import SequenceError, read_text
 from ..mapping import get_system, system_of
 from ..seeding import Option, SeedingRule, check_options, rule_name
+from ..seeding.named_rules import RuleNotNamedError, is_named
 from ..seeding.rule_code import find_rule, is_rule_file, read_rule_file, rule_folder
 from ..work import ProgressDisplay
 from .map_scene import Entry
@@ -234,15 +235,22 @@ def _at(path: Path, place: str) -> Iterator[None]:
     """A block whose errors are said with their place in the file."""
     try:
         yield
+    except RuleNotNamedError:
+        raise
     except (SequenceError, ValueError, TypeError, KeyError, OSError) as e:
         what = e.args[0] if isinstance(e, KeyError) and e.args else e
         raise TableError(f"{path}: {place}: {what}") from None
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path, *, rule_files: Sequence[str | Path] = ()) -> Table:
     """Read and check the file of a comparison.
 
+    Args:
+        path: Of the file.
+        rule_files: The files of rules that it names and that may be executed.
+
     Raises:
+        RuleNotNamedError: it asks for a rule in a file that is not among ``rule_files``; nothing was executed.
         TableError: a mistake, with its place in the file. FileNotFoundError: no such file.
     """
     path = Path(path).expanduser()
@@ -251,6 +259,7 @@ def read_table(path: str | Path) -> Table:
     text = read_text(path, "the file of a comparison")
     with _at(path, "TOML"):
         top = _checked(tomllib.loads(text), _TOP)
+    _refuse_unnamed(path, top.get("rules", []), rule_files)
     shared: dict[str, Any] = {name: top[name] for name in ("system", "preset", "device") if name in top}
     shared["settings"] = _dotted(top.get("settings", {}))
     with _at(path, "settings"):
@@ -275,6 +284,15 @@ def read_table(path: str | Path) -> Table:
         for scene, budget, rule, seed in itertools.product(scenes, budgets, rules, seeds)
     ]
     return Table(specs=specs, text=text, reference=reference, tests=tests, tuned_on=tuned_on)
+
+
+def _refuse_unnamed(path: Path, rules: list[Any], named: Sequence[str | Path]) -> None:
+    """Raise ``RuleNotNamedError`` with all rules in files that the caller did not name."""
+    texts = [values.get("rule") for values in rules if isinstance(values, dict)]
+    wanted = [str(path.parent / text) for text in texts if isinstance(text, str) and is_rule_file(text)]
+    if missing := [rule for rule in dict.fromkeys(wanted) if not is_named(rule.rpartition(":")[0], named)]:
+        files = [rule.rpartition(":")[0] for rule in missing]
+        raise RuleNotNamedError(path, missing, f"read_table({str(path)!r}, rule_files={list(dict.fromkeys(files))})")
 
 
 def _made(

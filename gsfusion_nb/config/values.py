@@ -62,7 +62,18 @@ def from_dict(cls: type[C], values: dict[str, Any], *, start: C | None = None) -
     """Build ``cls`` from nested dictionaries, as ``to_dict`` or ``config.json`` give them; unknown keys are refused.
 
     What ``values`` leaves out comes from ``start``, or from the defaults.
+
+    Raises:
+        ValueError: a value that no setting has, or a seeding rule in a file: no mapper executes code because a file of
+            settings says so.
     """
+    seeding = values.get("seeding")
+    rule = seeding.get("rule") if isinstance(seeding, dict) else None
+    if isinstance(rule, str) and ".py" in rule:
+        raise ValueError(
+            f"seeding.rule must be the name of a rule, got the file {shown(rule)}; where you trust it, give it to "
+            "run_mapping or to a mapper (seeding=...)"
+        )
     return _merge(cls() if start is None else start, values, "")
 
 

@@ -23,7 +23,7 @@ from ..types import Frame, Mesh
 from ..work import ProgressDisplay, memory_is_full
 from . import outputs
 from .mapping_run import MappingRun, RunWatcher, has_poses
-from .resume import load_run
+from .resume import load_run, resume_command
 from .run_folder import CHECKPOINTS, NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
 from .stream_run import StreamRun
 
@@ -106,8 +106,11 @@ def resume_mapping(
 
     Args:
         folder: Of the run.
+        seeding: The rule, if it is not part of the package. Of one in a file the name is wanted, "RUN/rule.py:name" or
+            your own "FILE.py:name" with the same content: code in a run's folder is not executed unless it is named.
 
     Raises:
+        RuleNotNamedError: The run's rule came from a file, and ``seeding`` names none.
         FileNotFoundError: The folder holds no checkpoint. FileExistsError: The run is still running.
         SequenceError: Files of the recording were changed, added or deleted since the run began; the first are named.
     """
@@ -262,7 +265,7 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
         saved = "saved" if not notes else "saved as far as the disk has space"
         notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {folder}.")
     if run.resumable and CheckpointStore(folder / CHECKPOINTS).exists:
-        notes.append(f"To continue from the last checkpoint: gsfusion-nb map --resume {folder}")
+        notes.append(f"To continue from the last checkpoint: {resume_command(folder, run.mapper.rule)}")
     if memory_is_full(error):
         raise MemoryError(" ".join([f"{_describe_full(run.mapper)}.", *notes])) from error
     for note in notes:

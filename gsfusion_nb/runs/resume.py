@@ -1,5 +1,6 @@
 """Continue a run from its last checkpoint."""
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +8,11 @@ import torch
 
 from ..data import open_sequence
 from ..export import CheckpointStore
-from ..files import UNREADABLE, SequenceError, file_hashes, read_text, reason_of
+from ..files import UNREADABLE, SequenceError, file_hashes, reason_of
 from ..mapping import get_system
-from ..seeding import SeedingRule
-from ..seeding.rule_code import MOST_BYTES, RULE_MODULES, is_rule_file, read_rule_file, rule_of_source
+from ..seeding import SeedingRule, rule_name
+from ..seeding.named_rules import RuleNotNamedError, is_named
+from ..seeding.rule_code import file_source, is_rule_file, read_rule_file, rule_folder, rule_of_source
 from .mapping_run import MappingRun
 from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, unpacked
 from .stream_run import StreamRun
@@ -21,7 +23,10 @@ def load_run(
 ) -> MappingRun:
     """The run that was interrupted or killed in ``folder``; a stream gives no more frames. ``given``: loss, optimiser.
 
+    No code from the folder is executed, unless ``seeding`` names it.
+
     Raises:
+        RuleNotNamedError: The run's seeding rule came from a file, and ``seeding`` names none.
         FileNotFoundError: The folder holds no checkpoint (a complete run leaves none).
         ValueError: All checkpoints are damaged, the run's sequence was in memory, or its files have changed.
     """
@@ -46,6 +51,14 @@ def load_run(
     return run
 
 
+def resume_command(folder: Path, rule: SeedingRule) -> str:
+    """What to type to continue the run in ``folder``; the file of its rule is named, so that it may be executed."""
+    words = ["gsfusion-nb", "map", "--resume", str(folder)]
+    if file_source(rule):
+        words += ["--seeding.rule", f"{folder / RULE}:{rule_name(rule)}"]
+    return shlex.join(words)
+
+
 def _refuse_changes(then: dict[str, str], now: dict[str, str], path: Path) -> None:
     """Raise ``SequenceError`` with the first files that differ between two states of a recording."""
     changes = []
@@ -65,23 +78,34 @@ def _refuse_changes(then: dict[str, str], now: dict[str, str], path: Path) -> No
 
 
 def _rule_of(path: Path, document: dict[str, Any], given: "str | SeedingRule | None") -> "str | SeedingRule | None":
-    """The rule to continue with: that of the run's folder if it came from a file, else the given one, if any.
+    """The rule to continue with. Code in the run's folder is somebody else's until the caller names it.
 
     Raises:
+        RuleNotNamedError: the run's rule came from a file, and none is given.
         SequenceError: a file is given whose content is not that in the run's folder.
     """
     if not document["rule_from_file"]:
         return given
-    name = document["mapper"]["rule"]["name"]
-    stored = read_text(path / RULE, "the seeding rule of a run", at_most=MOST_BYTES)
+    own, name = path / RULE, document["mapper"]["rule"]["name"]
+    stored, _ = read_rule_file(f"{own}:{name}")
     if given is None:
-        return rule_of_source(stored, name, str(path / RULE), path / RULE_MODULES)
-    if isinstance(given, str) and is_rule_file(given) and read_rule_file(given) != (stored, name):
+        rule = f"{own}:{name}"
+        raise RuleNotNamedError(path, [rule], f"resume_mapping({str(path)!r}, seeding={rule!r})")
+    if not (isinstance(given, str) and is_rule_file(given)):
+        return given
+    if read_rule_file(given) != (stored, name):
         raise SequenceError(
-            f"{given} is not the seeding rule with which the run in {path} began: the run's own is in {path / RULE}; "
-            "leave out the rule to continue with it, or map again with the new one"
+            f"{given} is not the seeding rule with which the run in {path} began: the run's own is {own}:{name}; "
+            "name that one to continue, or map again with the new one"
         )
-    return given
+    return rule_of_source(stored, name, given.rpartition(":")[0], rule_folder(given))
+
+
+def _is_own(path: Path, given: "str | SeedingRule | None") -> bool:
+    """The rule is to be the one that the run began with: none is given, or the one in its folder."""
+    if given is None:
+        return True
+    return isinstance(given, str) and is_rule_file(given) and is_named(given.rpartition(":")[0], [path / RULE])
 
 
 def _run_of(
@@ -99,10 +123,10 @@ def _run_of(
     rule, system = _rule_of(path, document, seeding), get_system(document["system"])
     mapper = system.from_state_dict(document["mapper"], seeding=rule, device=device, **given)
     changes = mapper.rule_in_use.difference(document["mapper"]["rule"])
-    if seeding is None and changes:
+    if changes and _is_own(path, seeding):
         raise SequenceError(
             f"the seeding rule is not as it was when {path} began; different: {changes}. Restore it, or continue with "
-            "the rule as it is now by naming it (seeding.rule)"
+            "the rule as it is now by giving it (seeding.rule), in a file outside of that folder"
         )
     if "stream" in source:
         return StreamRun.after_a_kill(source, mapper, state)

@@ -33,7 +33,8 @@ def test_the_source_goes_into_the_folder_and_repeats_the_run(rule, tmp_path, cap
     written = json.loads((first / "config.json").read_text())
     assert (written["rule"], written["config"]["seeding"]["options"]) == ("near", {"step": 7})
     rule.write_text("an edit that is not even Python")
-    config = ("--from-config", str(first / "config.json"), "--no-evaluate", "--reader", "n_frames=20")
+    config = ("--from-config", str(first / "config.json"), "--no-evaluate", "--reader", "n_frames=20",
+              "--seeding.rule", f"{first / 'rule.py'}:near")  # fmt: skip
     assert run(["room", *config, "--out", str(again)]) == 0
     assert hashes(again) == hashes(first)
 
@@ -60,6 +61,6 @@ def test_a_resumed_run_uses_its_own_rule_or_refuses_another(rule, tmp_path, monk
     rule.write_text(RULE.replace("step=5", "step=6"))
     with pytest.raises(SequenceError, match="is not the seeding rule with which the run in"):
         resume_mapping(folder, seeding=f"{rule}:near", evaluate=False)
-    finished = resume_mapping(folder, evaluate=False)
+    finished = resume_mapping(folder, seeding=f"{folder / 'rule.py'}:near", evaluate=False)
     assert finished.run.status == "complete"
     assert not [w for w in finished.run.warnings if "another seeding rule" in w]

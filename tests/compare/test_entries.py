@@ -45,8 +45,13 @@ def table(scene, tmp_path):
     return write
 
 
+def read_mine(path):
+    """The table, with its rule named."""
+    return read_table(path, rule_files=[path.with_name("mine.py")])
+
+
 def test_all_combinations_in_order(table):
-    found = read_table(table())
+    found = read_mine(table())
     assert str(found) == "8 runs: 2 rules x 1 scene x 2 seeds x 2 budgets"
     assert [(s.label, s.seed, s.budget.gaussians) for s in found.specs[:3]] == [
         ("uniform fraction=0.1", 0, 150), ("uniform fraction=0.1", 3, 150), ("some", 0, 150)
@@ -80,18 +85,18 @@ def test_all_combinations_in_order(table):
 )  # fmt: skip
 def test_mistakes_are_found_before_anything_runs(table, old, new, place):
     with pytest.raises(TableError) as error:
-        read_table(table(old, new))
+        read_mine(table(old, new))
     assert place in str(error.value)
 
 
 def test_settings_are_checked_together(table):
     path = table("[[rules]]", '"tsdf.near_m" = 7\n"tsdf.far_m" = 9\n[[rules]]')
-    assert read_table(path).specs[0].config().tsdf.near_m == 7.0
+    assert read_mine(path).specs[0].config().tsdf.near_m == 7.0
 
 
 def test_equal_names_are_refused(table):
     with pytest.raises(TableError, match="uniform"):
-        read_table(table("[[scenes]]", '[[rules]]\nrule = "uniform"\noptions = { fraction = 0.1 }\n[[scenes]]'))
+        read_mine(table("[[scenes]]", '[[rules]]\nrule = "uniform"\noptions = { fraction = 0.1 }\n[[scenes]]'))
 
 
 def test_the_example_is_a_good_file(tmp_path, capsys):
@@ -109,12 +114,12 @@ def test_the_example_is_a_good_file(tmp_path, capsys):
 
 def test_what_is_tested_is_named_before_anything_runs(table, tmp_path):
     path = table("seeds =", 'tests = "pairs"\nreference = "some"\nseeds =')
-    found = read_table(path)
+    found = read_mine(path)
     assert (found.tests, found.reference) == ("pairs", "some")
     asked = _as_asked(found, LabOptions(tests="nemenyi"))
     assert (asked.tests, asked.reference) == ("nemenyi", "some")
     assert _as_asked(found, LabOptions(reference="uniform fraction=0.1")).reference == "uniform fraction=0.1"
-    out = ["--out", str(tmp_path / "out")]
+    out = ["--out", str(tmp_path / "out"), "--rule-file", str(tmp_path / "mine.py")]
     assert cli(["lab", str(path), *out, "--reference", "the best"]) == 1
     assert cli(["lab", str(path), *out, "--tests", "wilcoxon"]) == 1
     with pytest.raises(KeyError, match="no rule 'the best'; known: uniform"):
@@ -129,7 +134,7 @@ def test_the_command_writes_everything(table, tmp_path, capsys):
     out = tmp_path / "out"
     path = table("seeds = [0, 3]", "seeds = 1")
     path.write_text(path.read_text().replace('[[budgets]]\nsteps = "own"\n', ""))
-    status = main(LabOptions(table=str(path), out=str(out)))
+    status = main(LabOptions(table=str(path), out=str(out), rule_file=(str(tmp_path / "mine.py"),)))
     text = capsys.readouterr().out
     assert (status, text.count("failed:")) == (0, 0), text
     rows = list(csv.DictReader((out / "runs.csv").read_text().splitlines()))

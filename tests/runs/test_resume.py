@@ -212,7 +212,7 @@ def test_changed_data_are_refused_and_named(killed, change):
 
 
 def test_a_rule_goes_on_with_the_modules_beside_its_file_and_no_others(killed_with, tmp_path):
-    """They are in the run's folder; an edit there is another key, and is refused unless the rule is named."""
+    """They are in the run's folder; an edit there is another key, and is refused."""
     (tmp_path / "mine").mkdir()
     helper = tmp_path / "mine" / "thin.py"
     helper.write_text("STEP = 3\n")
@@ -221,12 +221,13 @@ def test_a_rule_goes_on_with_the_modules_beside_its_file_and_no_others(killed_wi
     folder, _ = killed_with(f"{file}:thinned")
     shutil.rmtree(helper.parent)
     shutil.copytree(folder, tmp_path / "copy")
-    assert resume_mapping(folder, evaluate=False).run.status == "complete"
+    named = {"seeding": f"{folder / 'rule.py'}:thinned", "evaluate": False}
+    assert resume_mapping(folder, **named).run.status == "complete"
     kept = tmp_path / "copy" / "rule_modules" / "thin.py"
     assert kept.read_text() == "STEP = 3\n"
     kept.write_text("STEP = 4\n")
     with pytest.raises(SequenceError, match=r"not as it was when .* began; different: .*file thin"):
-        resume_mapping(tmp_path / "copy", evaluate=False)
+        resume_mapping(tmp_path / "copy", seeding=f"{tmp_path / 'copy' / 'rule.py'}:thinned", evaluate=False)
 
 
 def test_the_same_data_go_on(killed):

@@ -1,0 +1,28 @@
+"""Asks before code of others is executed."""
+
+import shlex
+import sys
+from collections.abc import Iterable, Sequence
+
+from ..files import SequenceError
+from ..seeding.named_rules import RuleNotNamedError
+
+
+def ask_or_refuse(error: RuleNotNamedError, prog: str, arguments: Sequence[str], naming: Iterable[str]) -> None:
+    """Return if the user allows, on a terminal, that the code which ``error`` names is executed.
+
+    Args:
+        error: Who asks for what.
+        prog: The command, such as ``gsfusion-nb map``.
+        arguments: Its arguments as they were typed.
+        naming: Those that would have named the rules.
+
+    Raises:
+        SequenceError: the user does not allow it, or there is nobody to ask. It has the command to type instead.
+    """
+    if sys.stdin is not None and sys.stdin.isatty():
+        print(f"{error.wish}. Execute it now? [y/N] ", end="", file=sys.stderr, flush=True)
+        if sys.stdin.readline().strip().lower() in ("y", "yes"):
+            return
+    command = shlex.join([*prog.split(), *arguments, *naming])
+    raise SequenceError(f"{error.wish}; if you trust it: {command}") from None
