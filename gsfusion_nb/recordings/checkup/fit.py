@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from ...config import RepairConfig
 from ...data.adjust.depth_agreement import AGREES, relative_poses
 from ...data.adjust.poses import pose_between, reread_poses
+from ...data.adjust.reprojection import Reprojection, reproject_depth
 from ...geometry import pixel_grid
 from ...types import Camera
 from .sample import Sample
@@ -95,35 +96,13 @@ class FitData:
         )
 
 
-def reproject(
-    data: FitData, c: CalibrationCorrection
-) -> tuple[Float[Tensor, "P N 2"], Float[Tensor, "P N"], Bool[Tensor, "P N"]]:
-    """Move all points from frame to frame.
-
-    The measured depth is interpolated between four pixels of one surface; points between two surfaces are not compared.
-
-    Returns:
-        Pixels of the subsampled depth camera in the second frames; relative depth difference
-        (predicted - measured) / measured, 0 where unknown; and whether it is known.
-    """
+def reproject(data: FitData, c: CalibrationCorrection) -> Reprojection:
+    """Move all points of the first frames into the second frames of the pairs, under a correction."""
     camera = data.corrected_camera(c)
     T = data.path(c.shift_frames).to(data.uv_a.dtype)
     T_ba = relative_poses(T[data.rows[0]], T[data.rows[1]])
-    x = (data.uv_a[..., 0] - camera.cx) / camera.fx
-    y = (data.uv_a[..., 1] - camera.cy) / camera.fy
-    z = data.depth_a / (1 + x * x + y * y).sqrt() if c.ray else data.depth_a
-    P = torch.stack([x * z, y * z, z], -1)
-    Q = P @ T_ba[:, :3, :3].transpose(1, 2) + T_ba[:, None, :3, 3] * math.exp(-c.log_scale)
-    ok = (data.depth_a > 0) & (Q[..., 2] > 1e-6) & torch.isfinite(Q).all(-1)
-    Q = Q.where(ok[..., None], 1.0)
-    xb, yb = Q[..., 0] / Q[..., 2], Q[..., 1] / Q[..., 2]
-    uv_b = torch.stack([camera.fx * xb + camera.cx, camera.fy * yb + camera.cy], -1)
-    measured, known = _interpolated(data.depth_b, uv_b[..., 0], uv_b[..., 1])
-    if c.ray:
-        measured = measured / (1 + xb * xb + yb * yb).sqrt()
-    known = known & ok
-    residual = ((Q[..., 2] - measured) / measured.where(known, 1.0)).where(known, 0.0)
-    return uv_b, residual, known
+    T_ba[:, :3, 3] *= math.exp(-c.log_scale)
+    return reproject_depth(camera, data.uv_a, data.depth_a, data.depth_b, T_ba, is_ray=bool(c.ray))
 
 
 class Agreement(NamedTuple):
@@ -172,27 +151,6 @@ def _rows(poses: Float[Tensor, "L 4 4"], places: list[int]) -> Float[Tensor, "F 
     at = torch.tensor(places)
     inside = (at >= 0) & (at < len(poses))
     return poses[at.clamp(0, len(poses) - 1)].where(inside[:, None, None], torch.nan)
-
-
-def _interpolated(
-    depth: Float[Tensor, "P H W"], u: Float[Tensor, "P N"], v: Float[Tensor, "P N"]
-) -> tuple[Float[Tensor, "P N"], Bool[Tensor, "P N"]]:
-    """Depth between pixel centres, bilinear in 1 / z (exact on planes); whether the four pixels are on one surface."""
-    n, h, w = depth.shape
-    x, y = u - 0.5, v - 0.5
-    known = (x >= 0) & (y >= 0) & (x <= w - 1.001) & (y <= h - 1.001)
-    x, y = x.where(known, 0.0), y.where(known, 0.0)
-    i, j = x.floor().long(), y.floor().long()
-    fx, fy = x - i, y - j
-    at = torch.arange(n)[:, None] * (h * w) + j * w + i
-    flat = depth.reshape(-1)
-    corners = torch.stack([flat[at], flat[at + 1], flat[at + w], flat[at + w + 1]])
-    near, far = corners.amin(0), corners.amax(0)
-    known = known & (near > 0) & (far < 1.05 * near)
-    inverse = 1 / corners.where(known, 1.0)
-    top = inverse[0] + fx * (inverse[1] - inverse[0])
-    bottom = inverse[2] + fx * (inverse[3] - inverse[2])
-    return 1 / (top + fy * (bottom - top)), known
 
 
 HELPS = 0.95

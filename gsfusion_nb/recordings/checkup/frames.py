@@ -10,6 +10,8 @@ from jaxtyping import Bool, Float, Int
 
 from ...config import DataConfig, RepairConfig
 from ...data.adjust.poses import reread_poses
+from ...data.adjust.reprojection import FEWEST_GREYS, gain_stops, greys_at, is_usable_grey
+from ...data.adjust.steps import STILL_DEG, STILL_M, find_jumps
 from ...drawing.page import PageGraph, page_graph
 from ...geometry import se3
 from ...types import Camera
@@ -18,7 +20,6 @@ from .report import Finding, flags_of
 from .sample import Sample
 
 _AGREES_FOR_COLOUR = 0.02
-_USABLE_GREY = (12, 243)
 _SAME_GREY = 10.0
 """Grey levels by which two pictures of a point may differ."""
 _PART = 64
@@ -106,7 +107,7 @@ def gains(
     With too few points that meet a depth the first two are NaN. The share is then 0 where the points leave the image,
     and NaN, not measured, where they meet pixels without depth."""
     uv_b, residual, all_known = reproject(data, correction)
-    there, residual, (low, high) = sample.by_place, residual.abs(), _USABLE_GREY
+    there, residual = sample.by_place, residual.abs()
     stops, errors, shares = np.full(len(pairs), np.nan), np.full(len(pairs), np.nan), np.zeros(len(pairs))
     for j, (first, second) in enumerate(pairs):
         known = all_known[j]
@@ -117,23 +118,17 @@ def gains(
             continue
         errors[j] = float(residual[j][known].median())
         agrees = known & (residual[j] < _AGREES_FOR_COLOUR)
-        a = _look_up(there[first].grey, data.uv_a[j][agrees], data.camera.width)
-        b = _look_up(there[second].grey, uv_b[j][agrees], data.camera.width)
-        good = (a > low) & (a < high) & (b > low) & (b < high)
-        if good.sum() >= 30:
-            stops[j] = float(np.median(np.log2(b[good] / a[good])))
+        a = greys_at(there[first].grey, data.uv_a[j][agrees], data.camera.width)
+        b = greys_at(there[second].grey, uv_b[j][agrees], data.camera.width)
+        good = is_usable_grey(a, b)
+        if good.sum() >= FEWEST_GREYS:
+            stops[j] = gain_stops(a[good], b[good])
             shares[j] = (np.abs(b / 2 ** stops[j] - a) < _SAME_GREY).sum() / int((data.depth_a[j] > 0).sum())
     return stops, errors, shares
 
 
 def _is_inside(uv: Float[torch.Tensor, "N 2"], camera: Camera) -> Bool[torch.Tensor, " N"]:
     return (uv[:, 0] > 0) & (uv[:, 0] < camera.width) & (uv[:, 1] > 0) & (uv[:, 1] < camera.height)
-
-
-def _look_up(grey: np.ndarray, uv: torch.Tensor, depth_width: int) -> np.ndarray:
-    scale = grey.shape[1] / depth_width
-    i, j = ((uv[:, k].numpy() * scale).astype(int) for k in (0, 1))
-    return grey[np.clip(j, 0, grey.shape[0] - 1), np.clip(i, 0, grey.shape[1] - 1)].astype(np.float64)
 
 
 def _relative(values: list[float], reach: int = 5) -> np.ndarray:
@@ -143,15 +138,6 @@ def _relative(values: list[float], reach: int = 5) -> np.ndarray:
     return array / np.maximum(np.array(around), 1e-6)
 
 
-_JUMP_BASE_DEG, _JUMP_BASE_M = 1.0, 0.03
-"""Shorter steps are not jumps."""
-_JUMP_OF_MEDIAN = 1.5
-"""A jump is longer than this many times the median of the steps around, ..."""
-_JUMP_ERROR, _JUMP_ERROR_OF_USUAL = 0.01, 4.0
-"""... and depth then differs by this share and this many times the usual difference; the worst of 250 steps of a
-hand-held Kinect differs by 0.6 per cent, twice the usual."""
-_JUMP_UNSEEN = 4.0
-"""If two frames have nothing in common, a step is a jump if it is at least this many times the median."""
 STEP_STOPS, SPREAD_STOPS = 0.3, 1.0
 """Changes of brightness that are reported, log2: between neighbours (a hand-held Kinect with automatic exposure: 0.19
 at most), and between frames up to 30 apart (the same: 0.68)."""
@@ -160,24 +146,14 @@ FIT_STOPS = 0.15
 _BLURRED = 0.3
 """Share of the neighbours' sharpness below which a frame is blurred; the worst of 250 frames of a hand-held Kinect has
 0.38."""
-_STILL_DEG, _STILL_M = 0.1, 0.002
 _NAMED = 12
 """Largest number of frames that a finding names."""
 
 
-def find_jumps(over: OverFrames) -> tuple[list[int], list[int]]:
+def _jumps(over: OverFrames) -> tuple[list[int], list[int]]:
     """Frames far from both neighbours, and frames after which the path continues at another place."""
-    step = np.maximum(over.turned_deg / _JUMP_BASE_DEG, over.moved_m / _JUMP_BASE_M)
-    usual_error = float(np.nanmedian(over.error)) if np.isfinite(over.error).any() else 0.0
-    frozen = over.same | np.roll(over.same, 1)  # there depth cannot confirm poses
-    jumps = set()
-    for i in np.flatnonzero(np.isfinite(step)):
-        around = step[max(0, i - 10) : i + 11]
-        times = step[i] / max(np.nanmedian(around), 1e-9)
-        disagrees = over.error[i] > max(_JUMP_ERROR, _JUMP_ERROR_OF_USUAL * usual_error) and times > _JUMP_OF_MEDIAN
-        unseen = np.isnan(over.error[i]) and times > _JUMP_UNSEEN
-        if step[i] > 1 and (disagrees or unseen) and not frozen[i]:
-            jumps.add(int(i))
+    frozen = over.same | np.roll(over.same, 1)
+    jumps = find_jumps(over.turned_deg, over.moved_m, over.error, frozen)
     alone = sorted(int(over.number[i + 1]) for i in jumps if i + 1 in jumps)
     cuts = sorted(int(over.number[i]) for i in jumps if i + 1 not in jumps and i - 1 not in jumps)
     return alone, cuts
@@ -185,7 +161,7 @@ def find_jumps(over: OverFrames) -> tuple[list[int], list[int]]:
 
 def jump_finding(over: OverFrames, length: int) -> tuple[DataConfig, Finding]:
     """Finding: do the poses jump where the depth images do not? And the range to keep of ``length`` frames."""
-    alone, cuts = find_jumps(over)
+    alone, cuts = _jumps(over)
     turned, moved = (float(np.nanmax(x, initial=0.0)) for x in (over.turned_deg, over.moved_m))
     extent = f"steps of at most {turned:.1f} degrees and {100 * moved:.1f} cm"
     if not alone and not cuts:
@@ -229,7 +205,7 @@ def image_findings(over: OverFrames, *, posed: bool = True) -> tuple[tuple[int, 
     if blurred:
         text, flags = f"More blurred than their neighbours: frame {_list(blurred)}.", RepairConfig(skip=tuple(blurred))
         sharp = Finding("sharpness", "doubtful", text, flags.flags)
-    moved = (over.turned_deg > _STILL_DEG) | (over.moved_m > _STILL_M) | (not posed)
+    moved = (over.turned_deg > STILL_DEG) | (over.moved_m > STILL_M) | (not posed)
     frozen = [int(over.number[i + 1]) for i in np.flatnonzero(over.same & moved)]
     live = Finding("frozen frames", "ok", "No image is repeated while the camera moves.")
     if frozen:

@@ -10,6 +10,8 @@ from torch import Tensor
 
 from ...data.adjust.depth_agreement import thinned
 from ...data.adjust.poses import stored_poses
+from ...data.adjust.small_images import small_grey, without_speckle
+from ...data.adjust.steps import repeated_image
 from ...data.sequence import BadFrameError, Sequence
 from ...types import Camera, Frame
 
@@ -94,17 +96,14 @@ def read_sample(sequence: Sequence, *, frames: int = 250, at: list[int] | None =
             continue
         facts = _facts(frame, place, step)
         if last is not None:
-            facts.repeats = torch.equal(last.colour, frame.colour) or torch.equal(last.depth_m, frame.depth_m)
+            facts.repeats = bool(repeated_image(last, frame))
         last = frame
         sample.frames.append(facts)
     return sample
 
 
 def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
-    grey = cv2.cvtColor(frame.rgb_u8.numpy(), cv2.COLOR_RGB2GRAY)
-    h, w = grey.shape
-    if w > GREY_WIDTH:
-        grey = cv2.resize(grey, (GREY_WIDTH, round(h * GREY_WIDTH / w)), interpolation=cv2.INTER_AREA)
+    grey = small_grey(frame, GREY_WIDTH)
     _, stored = thinned(frame.camera, frame.depth_m, step)
     depth_m = without_speckle(stored.numpy())
     laplacian = cv2.Laplacian(grey, cv2.CV_16S)
@@ -112,33 +111,8 @@ def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
         place=place,
         number=frame.index,
         T_stored=frame.T_WC.double(),
-        grey=np.asarray(grey),
+        grey=grey,
         depth_m=torch.from_numpy(depth_m),
         missing=float((stored <= 0).float().mean()),
         sharpness=float(np.mean(np.square(laplacian.astype(np.float32)))) / (float(grey.var()) + 1.0),
     )
-
-
-_SPECKLED = 0.75
-"""Where of the eight neighbours of a pixel with depth fewer have depth, on average, single pixels are missing: of a
-hand-held Kinect 0.93 and more have."""
-_FILLED_FROM = 3
-"""Fewest pixels with depth among the 24 around one that is filled."""
-
-
-def without_speckle(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Depth of which single pixels are missing everywhere (a scanner, a projected LiDAR), filled with the median of the
-    pixels around each; depth with holes, as other cameras have it, is copied.
-
-    Frames are compared by interpolating depth between four pixels, which hardly ever all have it in such images.
-    """
-    known = depth_m > 0
-    counts = cv2.boxFilter(known.astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_REFLECT_101)
-    if not known.any() or float((counts[known] - 1).mean()) >= 8 * _SPECKLED:
-        return depth_m.copy()
-    padded = np.pad(np.where(known, depth_m, np.nan), 2, constant_values=np.nan)
-    around = np.lib.stride_tricks.sliding_window_view(padded, (5, 5)).reshape(*depth_m.shape, 25)
-    fillable = ~known & (np.isfinite(around).sum(axis=2) >= _FILLED_FROM)
-    filled = depth_m.copy()
-    filled[fillable] = np.nanmedian(around[fillable], axis=1)
-    return filled

@@ -10,11 +10,12 @@ import torch
 
 from gsfusion_nb.config import RepairConfig
 from gsfusion_nb.data import folder
+from gsfusion_nb.data.adjust.small_images import without_speckle
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.checkup import check_recording
 from gsfusion_nb.recordings.checkup.frames import OverFrames, exposure_finding
-from gsfusion_nb.recordings.checkup.sample import read_sample, without_speckle
+from gsfusion_nb.recordings.checkup.sample import read_sample
 from gsfusion_nb.recordings.checkup.stored_values import image_size, missing_finding, pose_matrices, time_stamps
 from gsfusion_nb.recordings.checkup.trial import Trial
 
