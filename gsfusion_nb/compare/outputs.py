@@ -34,7 +34,7 @@ from .statistics import (
     standings,
     summarise,
 )
-from .tables import ResultTable, all_tables, as_markdown, failures
+from .tables import ResultTable, all_tables, as_markdown, failures, markdown_sentence
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -151,7 +151,9 @@ class Results:
             parts.append(f"{copied} of {len(self.runs)} runs were copied from the cache: copied_from in runs.csv.")
         if warnings := self.warnings():
             parts.append(
-                "\n".join(["### Rows or scenes that are the same", "", *(f"- {warning}" for warning in warnings)])
+                "\n".join(
+                    ["### Rows or scenes that are the same", "", *(f"- {markdown_sentence(w)}" for w in warnings)]
+                )
             )
         for budget in dict.fromkeys(str(r.spec.budget) for r in self.runs):
             said = [str(test) for test in self.tested(budget)]
@@ -160,10 +162,17 @@ class Results:
             if said:
                 what = f"Tests: {TESTS[self.about.tests]}."
                 if self.about.tests == "reference":
-                    what += f" The reference is {self.reference}, which does not depend on the results."
-                parts.append("\n".join([f"### More than noise? {budget}", "", what, "", *(f"- {s}" for s in said)]))
+                    what += (
+                        f" The reference is {markdown_sentence(self.reference)}, which does not depend on the results."
+                    )
+                parts.append(
+                    "\n".join(
+                        [f"### More than noise? {budget}", "", what, "", *(f"- {markdown_sentence(s)}" for s in said)]
+                    )
+                )
         if lost := failures(self.runs):
-            lines = [f"- {label}, {scene}, {budget}, seed {seed}: {why}" for label, scene, budget, seed, why in lost]
+            said = [f"{label}, {scene}, {budget}, seed {seed}: {why}" for label, scene, budget, seed, why in lost]
+            lines = [f"- {markdown_sentence(sentence)}" for sentence in said]
             parts.append("\n".join(["### Runs that failed", "", *lines]))
         return "\n\n".join(parts) + "\n"
 

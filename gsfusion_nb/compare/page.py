@@ -81,7 +81,8 @@ def _draw(axes: "Axes", groups: Sequence[Group], cost_name: str, scene: str) -> 
     axes.tick_params(colors=MUTED)
     axes.grid(True, which="major", color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
-    axes.set_title(f"{scene}\nred: on the Pareto front".strip(), fontsize=9, color=MUTED, loc="left")
+    title = f"{scene}\nred: on the Pareto front".strip()
+    axes.set_title(title, fontsize=9, color=MUTED, loc="left", parse_math=False)  # a name is no formula
     found = [(g.label, g.summary(cost_name), g.summary(FIRST_METRIC)) for g in groups]
     found = [(label, c, q) for label, c, q in found if c.n and np.isfinite(q.mean) and c.mean > 0]
     if not found:
@@ -103,7 +104,7 @@ def _draw(axes: "Axes", groups: Sequence[Group], cost_name: str, scene: str) -> 
         axes.plot(cost[own], quality[own], color=MUTED, linewidth=0.8, alpha=0.5, zorder=1)
         i = max(own, key=lambda i: quality[i])
         axes.annotate(name, (float(cost[i]), float(quality[i])), xytext=(5, 4), textcoords="offset points", fontsize=8,
-                      color=INK)  # fmt: skip
+                      color=INK, parse_math=False)  # fmt: skip
     axes.margins(x=0.2, y=0.15)
     if cost.max() >= 2 * cost.min():
         axes.set_xscale("log")
