@@ -60,7 +60,14 @@ class Frames:
             raise IndexError(i)
         depth_m = torch.full((48, 64), self.depth_m[i])
         rgb = torch.rand(48, 64, 3)
-        return Frame(index=i, timestamp_s=i / 30, rgb=rgb, depth_m=depth_m, camera=self.camera, T_WC=self.pose(i))
+        return Frame(
+            index=i,
+            timestamp_s=i / 30,
+            rgb=rgb,
+            depth_m=depth_m,
+            camera=self.camera,
+            T_WC=self.pose(i),
+        )
 
     def pose(self, i):
         return torch.eye(4)
@@ -149,7 +156,10 @@ def toy_system(preset: str = "replica", **overrides) -> ToyConfig:
 '''
 
 SYSTEM = '''
-"""A toy system: Gaussians where the rule puts them, optimised against every frame; a TSDF only for the mesh."""
+"""A toy system: Gaussians where the rule puts them, optimised against every frame.
+
+A TSDF serves only for the mesh.
+"""
 
 from torch import Tensor
 
@@ -188,7 +198,8 @@ class ToySystem(TsdfMapping):
         return self._optimise(self.keyframes[i])
 
     def _optimise(self, view) -> Tensor:
-        output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC, with_indices=False)
+        params = self.gaussians.params
+        output, saved = render_forward(params, view.camera, view.T_WC, with_indices=False)
         loss = l1_mse_vjp(output.rgb, view.rgb)
         adam_step(self.gaussians, render_vjp(saved, loss.v_rgb), OptimConfig())
         return loss.value
@@ -200,8 +211,14 @@ CHAPTER = '''
 from .exercise import Attempt, Wrong, exercise
 
 
-@exercise(chapter=12, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
-          wrong=(Wrong(lambda x: x, says="twice"),))
+@exercise(
+    chapter=12,
+    difficulty=1,
+    minutes=1,
+    solution=lambda x: x + x,
+    hints=("Add it to itself.",),
+    wrong=(Wrong(lambda x: x, says="twice"),),
+)
 def toy_exercise(attempt: Attempt) -> None:
     """Twice a number."""
     attempt.close(attempt.on("3")(3), 6, "the result is twice the number")
@@ -214,8 +231,15 @@ from .learner_operation import Becomes
 from .exercise import Attempt, Wrong, exercise
 
 
-@exercise(chapter=12, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
-          wrong=(Wrong(lambda x: x, says="twice"),), becomes=Becomes("toy_piece", lambda yours, x: yours(x)))
+@exercise(
+    chapter=12,
+    difficulty=1,
+    minutes=1,
+    solution=lambda x: x + x,
+    hints=("Add it to itself.",),
+    wrong=(Wrong(lambda x: x, says="twice"),),
+    becomes=Becomes("toy_piece", lambda yours, x: yours(x)),
+)
 def toy_own(attempt: Attempt) -> None:
     """Twice a number."""
     attempt.close(attempt.on("3")(3), 6, "the result is twice the number")
@@ -302,7 +326,8 @@ by_backend = []
 for name in ("reference", "numba"):
     with backends.use_backend(name):
         by_backend.append(mine[0].run(torch.device("cpu"), torch.float64)["y"].tolist())
-assert by_backend == [[0, 2, 4]] * 2 and backends.load("toy_operation", "numba").__globals__["CALLS"]
+assert by_backend == [[0, 2, 4]] * 2
+assert backends.load("toy_operation", "numba").__globals__["CALLS"]
 
 config = toy_system(seeding__rule="toy_rule", data__hold_out_every=0)
 run = run_mapping(data, config, folder="toy_run")

@@ -190,7 +190,10 @@ OTHER_NAMES = ("views.json", "tsdf.npz", "window.lr_sh_rest")
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_settings_and_their_values_exist(page):
-    pattern = rf"(?<![\w/.\-])((?:{'|'.join(sorted(GROUPS))})\.[a-z]\w*(?:\.\w+)*)(?![\w\-])(?:\s*=\s*(\S+))?"
+    groups = "|".join(sorted(GROUPS))
+    name_pattern = rf"(?<![\w/.\-])((?:{groups})\.[a-z]\w*(?:\.\w+)*)(?![\w\-])"
+    value_pattern = r"(?:\s*=\s*(\S+))?"
+    pattern = name_pattern + value_pattern
     for name, value in re.findall(pattern, "\n".join(code(page))):
         if name in OTHER_NAMES:
             continue

@@ -1,8 +1,10 @@
 """Numbers in the docs: measured by commands, kept in ``docs/measured/*.json``, filled into the pages from there.
 
-    python tools/measured.py                  # list the tables that are older than what they depend on; needs git
-    python tools/measured.py --renew NAME     # run a table's commands, write its JSON file, fill the pages
-    python tools/measured.py --fill           # fill the pages from the JSON files
+    python tools/measured.py                 # list the tables that are out of date; needs git
+    python tools/measured.py --renew NAME    # run a table's commands, write its JSON, fill the pages
+    python tools/measured.py --fill          # fill the pages from the JSON files
+
+A table is out of date where something that it depends on has changed since it was measured.
 
 ``docs/measured/index.md`` explains the recipes and the markers in the pages.
 """

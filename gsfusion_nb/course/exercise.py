@@ -5,9 +5,10 @@ In a notebook::
     from gsfusion_nb.course import check
     check.lift_pixel                 # title, difficulty, minutes, number of hints
     check.lift_pixel.hint()          # the next hint, on request
-    check.lift_pixel(lift_pixel)     # Verdict: green, or red with the property that failed and the input
+    check.lift_pixel(lift_pixel)     # Verdict: green, or red with the failed property and the input
     check.lift_pixel.solution()      # source of a solution, after the first try
-    f = check.lift_pixel.working(f)  # the student's function if it passes, else the reference's; it says whose
+    f = check.lift_pixel.working(f)  # the student's function if it passes, else the reference's;
+                                     # it says whose
 
 In ``course/<chapter>.py`` (found automatically, nothing to register elsewhere)::
 
@@ -22,7 +23,7 @@ In ``course/<chapter>.py`` (found automatically, nothing to register elsewhere):
     def lift_pixel(attempt: Attempt) -> None:               # the name of the exercise
         \"\"\"Lift a pixel with its depth to a point.\"\"\"      # its title
         attempt.on("a corner pixel at 2 m")
-        point = attempt(camera, uv, depth_m)                # copies tensors, catches errors and unwritten bodies
+        point = attempt(camera, uv, depth_m)                # copies tensors, catches errors
         attempt.close(point, expected, "the depth is the point's z")
 
 The judge returns nothing and raises ``Failed`` (through ``close``, ``holds`` and ``unpack`` of the attempt) at the

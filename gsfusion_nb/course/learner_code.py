@@ -85,7 +85,8 @@ def in_words(value: Any) -> str:
     if isinstance(value, (bool, int, float, str)) or value is None:
         return repr(value)
     if not isinstance(value, Tensor):
-        return f"a {type(value).__name__}{f' of {len(value)}' if isinstance(value, (list, tuple)) else ''}"
+        count = f" of {len(value)}" if isinstance(value, (list, tuple)) else ""
+        return f"a {type(value).__name__}{count}"
     if value.numel() <= 4 and value.ndim <= 1:
         return str(value.tolist())
     words = kind_of(value)

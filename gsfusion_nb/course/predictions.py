@@ -2,8 +2,11 @@
 
 In a notebook::
 
-    predict("first_seeds", "How many Gaussians will the first frame give?", [300, 3000, 30000])   # a cell before
-    came("first_seeds", report.n_seeds)                                                           # a cell after
+    # in a cell before
+    predict("first_seeds", "How many Gaussians will the first frame give?", [300, 3000, 30000])
+
+    # in a cell after
+    came("first_seeds", report.n_seeds)
 
 A click records the answer (``progress.py``); after ``came`` it stays. Where widgets do not work:
 ``predict("first_seeds", answer=3000)``.

@@ -226,10 +226,12 @@ def count_views(
 def change_states(model: SurfelModel, config: StateConfig, confidence_per_step: float = 1.0) -> Transitions:
     """Unstable -> stable by confidence, stable -> unstable by errors, and removal of bad rows.
 
-    eta_i > delta_eta                unstable becomes stable; eta_i is a number of steps times ``confidence_per_step``
-    e_i > delta_e                    stable becomes unstable; its confidence and its age start again
-    k - t_i > delta_t                unstable is removed; ``config.age`` says which frames count
-    r_i > max_radius_factor mean(r)  removed, stable or not (released code; not in the paper)
+        eta_i > delta_eta                  unstable becomes stable
+        e_i   > delta_e                    stable becomes unstable; confidence and age start again
+        k - t_i > delta_t                  unstable is removed
+        r_i   > max_radius_factor mean(r)  removed, stable or not (released code; not in the paper)
+
+    eta_i is a number of steps times ``confidence_per_step``. ``config.age`` says which frames count in k - t_i.
     """
     stable = model.is_stable
     age = model.frames_in_view if config.age == "in_view" else model.step_count - model.birth_step

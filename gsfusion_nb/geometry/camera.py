@@ -1,16 +1,21 @@
 """Pinhole projection, its inverse, and normals of a depth image, in the convention of the whole package.
 
-| quantity | name | convention |
-|---|---|---|
-| pose | ``T_WC``, ``T_CW`` | camera-to-world 4x4 and its inverse; OpenCV axes (x right, y down, z forward); metres |
-| pixel | ``uv`` | continuous; the centre of pixel (i, j) is (i + 0.5, j + 0.5) |
-| depth | ``depth_m`` | z-depth, metres, 0 = missing, never NaN; ``range_m`` is the length along the ray |
-| image | ``rgb`` | [H, W, 3], 0..1; ``rgb_u8`` the same in bytes, as an 8-bit image is carried |
-| TSDF | ``D``, ``W`` | D in units of the truncation distance, positive in front of the surface; W observation count |
-| rotation | ``quat`` | wxyz, normalised at use |
-| Gaussians | ``xyz_W, log_scale, quat, opacity_logit, sh`` | activated ones are ``scale_m``, ``opacity``, ``rgb`` |
-| gradient | ``v_x`` | dL/dx, from ``<operation>_vjp`` |
-| randomness | ``generator`` | passed in; a run with a seed repeats exactly on one machine and thread count |
+    pose        T_WC, T_CW   camera-to-world 4x4 and its inverse, metres;
+                             OpenCV axes: x right, y down, z forward
+    pixel       uv           continuous; the centre of pixel (i, j) is (i + 0.5, j + 0.5)
+    depth       depth_m      z-depth, metres, 0 = missing, never NaN
+                range_m      length along the ray, metres
+    image       rgb          [H, W, 3], 0..1
+                rgb_u8       the same in bytes, as an 8-bit image is carried
+    TSDF        D            signed distance in units of the truncation distance,
+                             positive in front of the surface
+                W            observation count
+    rotation    quat         wxyz, normalised at use
+    Gaussians   xyz_W, log_scale, quat, opacity_logit, sh
+                             stored; activated ones are scale_m, opacity, rgb
+    gradient    v_x          dL/dx, from <operation>_vjp
+    randomness  generator    passed in; a run with a seed repeats exactly on one machine
+                             and thread count
 
 A data set whose intrinsics put pixel centres at integers (TUM, 7-Scenes, Replica) gets +0.5 on cx and cy in its reader.
 """

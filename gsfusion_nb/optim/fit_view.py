@@ -278,7 +278,9 @@ def fit_gain(
 ) -> Float[Tensor, " 3"]:
     """The factors with which the map's picture r fits the photograph t best: least squares, with a weak prior at 1.
 
-        g = (sum r t + p / 4) / (sum r^2 + p / 4)     over the pixels that the map shows and that are not white
+        g = (sum r t + p / 4) / (sum r^2 + p / 4)
+
+    with the sums over the pixels that the map shows and that are not white.
 
     Args:
         rgb: The map's picture.

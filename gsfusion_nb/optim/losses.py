@@ -113,7 +113,9 @@ def depth_l1_vjp(
 def dssim(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
     """1 - mean SSIM with an 11 px Gaussian window of sigma 1.5, zero padding, channel by channel.
 
-        SSIM = (2 mu_x mu_y + C1) (2 sigma_xy + C2) / ((mu_x^2 + mu_y^2 + C1) (sigma_x^2 + sigma_y^2 + C2))
+               (2 mu_x mu_y + C1)      (2 sigma_xy + C2)
+        SSIM = ----------------------  ----------------------------
+               (mu_x^2 + mu_y^2 + C1)  (sigma_x^2 + sigma_y^2 + C2)
 
     Differentiable: ``dssim_vjp``. Source: Wang et al. 2004, Eq. 13; its weight in GSFusion's global loss is 0.2.
     """

@@ -6,11 +6,12 @@ For the k-th Gaussian of a pixel, nearest first, with (dx, dy) = pixel centre - 
     alpha_k = min(0.99, o_k exp(-sigma_k)),  0 where that is below 1/255
     T_k     = prod_{j<k} (1 - alpha_j)        the light that is left
     w_k     = alpha_k T_k,  0 from the first k on with T_{k+1} < 1e-4
-    C       = sum_k w_k c_k                   c = (r, g, b, z, 1): colour, depth and alpha are blended alike
+    C       = sum_k w_k c_k,  c = (r, g, b, z, 1): colour, depth and alpha are blended alike
 
     dL/dc_k     = w_k v_C
     dL/dalpha_k = T_k (c_k . v_C) - S_k / (1 - alpha_k),   S_k = sum_{j>k} w_j (c_j . v_C)
-    dL/du_k     = sum_pixels alpha_k dL/dalpha_k (A dx + B dy),  dL/dv_k = sum_pixels alpha_k dL/dalpha_k (B dx + C dy)
+    dL/du_k     = sum_pixels alpha_k dL/dalpha_k (A dx + B dy)
+    dL/dv_k     = sum_pixels alpha_k dL/dalpha_k (B dx + C dy)
 
 Where the pixels of a Gaussian pull it to opposite sides, the terms of the last sums cancel. The sums of their absolute
 values, ``uv_abs``, do not cancel: sum_pixels |alpha_k dL/dalpha_k (A dx + B dy)|, and the same for v.

@@ -3,7 +3,9 @@
 In the camera frame, for the ray r = K^-1 (u, v, 1) and the Gaussian that it hits, with p the centre and n = R_CW R_q e
 the axis of the smallest scale:
 
-    z = (p . n) / (r . n)    if |r . n| / |r| >= min_cosine  and  z > 0  and  |z - p_z| <= max_offset * largest scale
+    z = (p . n) / (r . n)    if  |r . n| / |r| >= min_cosine
+                             and z > 0
+                             and |z - p_z| <= max_offset * largest scale
     z = p_z                  otherwise
 
     on the plane   dz/dp = n / (r . n),   dz/dn = (p - z r) / (r . n)

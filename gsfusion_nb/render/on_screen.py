@@ -129,8 +129,9 @@ def rows_in_view(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 
     """Rows that may reach a pixel of the picture; the others change nothing in it and get no gradient from it.
 
     It bounds the box that ``project_gaussians`` computes: with s the largest standard deviation and |tx| <= c,
+    where c is 1.3 half fields of view,
 
-        cov_uu = |first row of J W R S|^2 + 0.3 <= (fx s / z)^2 (1 + c^2) + 0.3,     c = 1.3 half fields of view
+        cov_uu = |first row of J W R S|^2 + 0.3 <= (fx s / z)^2 (1 + c^2) + 0.3
 
     Args:
         params, camera, T_WC: as given to ``render``.

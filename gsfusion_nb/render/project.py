@@ -224,11 +224,13 @@ def pose_matrix_vjp(
 ) -> Float[Tensor, "4 4"]:
     """dL/dT_WC along rigid motions; arguments as for ``pose_vjp``, whose g = (g_rho, g_omega) it puts into a matrix.
 
-        v_T = [R hat(g_omega) / 2,  R g_rho;  0, 0],      so that  <v_T, T hat(xi)> = g . xi  for every twist xi
+        v_T = [ R hat(g_omega) / 2   R g_rho ]
+              [         0               0    ]
 
-    A 4x4 matrix has 16 numbers and a pose 6 degrees of freedom. Of all matrices with this property it is the one of
-    least norm: it has no part that would bend the rotation. Chained with any function that gives a rigid ``T_WC`` it
-    is the exact gradient. The tests compare it with finite differences along rigid motions.
+    so that <v_T, T hat(xi)> = g . xi for every twist xi. A 4x4 matrix has 16 numbers and a pose 6
+    degrees of freedom. Of all matrices with this property it is the one of least norm: it has no
+    part that would bend the rotation. Chained with any function that gives a rigid ``T_WC`` it is
+    the exact gradient. The tests compare it with finite differences along rigid motions.
     """
     v_rho, v_omega = pose_vjp(params, v_params, T_WC).to(T_WC).split(3)
     R = T_WC[:3, :3]

@@ -25,10 +25,11 @@ def unmapped_pixels(
 ) -> Bool[Tensor, "H W"]:
     """Pixels with depth that the map does not cover, or where its depth is wrong by far.
 
-        A < min_alpha   or   ( D^ > D  and  e > median_factor * median(e) ),      e = |D^ - D|, 0 where D is missing
+        A < min_alpha   or   ( D^ > D  and  e > median_factor * median(e) )
 
-    A is the accumulated opacity of the map, D^ its blended depth sum w_k z_k (not divided by A, as SplaTAM renders it,
-    unless ``divided``), D the measured depth. Without a map: all pixels with depth.
+    with e = |D^ - D|, and 0 where D is missing. A is the accumulated opacity of the map, D^ its
+    blended depth sum w_k z_k (not divided by A, as SplaTAM renders it, unless ``divided``), D the
+    measured depth. Without a map: all pixels with depth.
 
     Args:
         ctx: Frame and map.

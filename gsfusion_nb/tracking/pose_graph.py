@@ -7,7 +7,8 @@ first (1/rad^2), then translation (1/m^2).
 translation first. For an edge that measured T_ij,
 
     e = log(T_ij^-1 T_i^-1 T_j),   de/dxi_j = J,   de/dxi_i = -J Ad(T_j^-1 T_i),
-    J = I + A/2 + A^2/12 - A^4/720  with  A = [[hat(omega), hat(rho)], [0, hat(omega)]]  of  e = (rho, omega).
+    J = I + A/2 + A^2/12 - A^4/720,   A = [ hat(omega)  hat(rho)   ]   of  e = (rho, omega).
+                                          [     0       hat(omega) ]
 
 One step solves  H xi = -b,  H = sum J_a^T Omega J_c,  b = sum J_a^T Omega e,  over the ends a, c of all edges. The
 first pose is fixed. An edge touches two poses only, so H is sparse, and SuperLU solves it.

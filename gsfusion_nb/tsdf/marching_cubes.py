@@ -4,7 +4,7 @@ A cube has a voxel centre at each of its corners: corner c is at (c & 1, c >> 1 
 surface where D < 0, and an edge between an inside and an outside corner is cut: there, at the zero of D, is a vertex.
 The case of a cube is the set of its inside corners,
 
-    case = sum over c of 2^c [D_c < 0]                                                             (1)
+    case = sum over c of 2^c [D_c < 0]                                                     (1)
 
 and a table holds the triangles of each of the 256 cases. It is derived here instead of typed in:
 

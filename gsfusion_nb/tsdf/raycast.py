@@ -4,11 +4,11 @@ The points of a ray are x(z) = o + z r, with the camera's centre o and r of leng
 advances by a share s of the stored distance (truncation distance mu), by a voxel v at least, and across a block that is
 not allocated in one step:
 
-    z <- z + max(s mu |D(x)|, v) / |r|                                                             (1)
+    z <- z + max(s mu |D(x)|, v) / |r|                                                     (1)
 
 The surface is between the first two samples z0, z1 with D0 >= 0 > D1, where a straight line through them is zero:
 
-    z* = z0 + (z1 - z0) D0 / (D0 - D1)                                                             (2)
+    z* = z0 + (z1 - z0) D0 / (D0 - D1)                                                     (2)
 
 Its normal is the direction of the gradient of D. D is read in two ways: of the voxel that holds x, which is quick and
 says how far the ray may go; and trilinear between the eight voxels around x, close to a surface and in (2).

@@ -25,7 +25,9 @@ def orbit_camera(
 ) -> Float[Tensor, "4 4"]:
     """Pose of an upright camera on a sphere around ``target_W``, looking at its centre.
 
-        r = cos(az) e_1 + sin(az) e_2,   centre = target + distance (cos(el) r + sin(el) up),   right = up x r
+        r      = cos(az) e_1 + sin(az) e_2
+        centre = target + distance (cos(el) r + sin(el) up)
+        right  = up x r
 
     with e_1 the world axis farthest from up (x when up is z) made orthogonal to it, and e_2 = up x e_1. "Right" does
     not depend on the elevation, so looking straight down needs no special case. At distance 0 the camera is at the

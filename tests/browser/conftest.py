@@ -159,7 +159,8 @@ class Lab:
 _PRELUDE = """
     const app = window.jupyterapp;
     const cells = [...(app?.shell.currentWidget?.content?.model?.cells ?? [])];
-    const failed = cells.flatMap(c => c.outputs?.toJSON() ?? []).find(o => o.output_type === "error")?.evalue;
+    const outputs = cells.flatMap(c => c.outputs?.toJSON() ?? []);
+    const failed = outputs.find(o => o.output_type === "error")?.evalue;
 """
 
 

@@ -77,7 +77,8 @@ def run_cell(page, containing, source=None):
     """Run the first cell that contains some words, with another source if given."""
     script = """([words, source]) => {
         const notebook = window.jupyterapp.shell.currentWidget.content;
-        const index = notebook.widgets.findIndex(w => w.model.sharedModel.getSource().includes(words));
+        const sources = notebook.widgets.map(w => w.model.sharedModel.getSource());
+        const index = sources.findIndex(source => source.includes(words));
         if (source !== null) notebook.widgets[index].model.sharedModel.setSource(source);
         notebook.activeCellIndex = index;
         notebook.deselectAll();

@@ -20,11 +20,24 @@ torch.set_num_threads(1)
 from gsfusion_nb.compare import Budget
 from gsfusion_nb.compare.entries import entries_of
 from gsfusion_nb.compare.live_table import LiveTable
-settings = {"data.width": 64, "data.height": 48, "data.stop": 12, "data.hold_out_every": 5, "tsdf.voxel_size_m": 0.05,
-            "sh_degree": 0, "optim.global_iterations": 0, "seeding.quadtree_contrast": "std",
-            "seeding.quadtree_threshold": 0.05}
-runs = entries_of(["gsfusion", "uniform"], seeds=(0,), budgets=(Budget(steps="own"),), settings=settings,
-                  reader={"n_frames": 60})
+settings = {
+    "data.width": 64,
+    "data.height": 48,
+    "data.stop": 12,
+    "data.hold_out_every": 5,
+    "tsdf.voxel_size_m": 0.05,
+    "sh_degree": 0,
+    "optim.global_iterations": 0,
+    "seeding.quadtree_contrast": "std",
+    "seeding.quadtree_threshold": 0.05,
+}
+runs = entries_of(
+    ["gsfusion", "uniform"],
+    seeds=(0,),
+    budgets=(Budget(steps="own"),),
+    settings=settings,
+    reader={"n_frames": 60},
+)
 live = LiveTable(runs, "results")
 live
 """
@@ -194,21 +207,30 @@ def test_the_live_table_in_a_notebook(lab):
 
 
 CONTRAST = """() => {
-  const parse = (c) => { const v = c.match(/[\\d.]+/g).map(Number); return [v[0], v[1], v[2], v[3] ?? 1]; };
+  const parse = (c) => {
+    const [r, g, b, alpha] = c.match(/[\\d.]+/g).map(Number);
+    return [r, g, b, alpha ?? 1];
+  };
   const light = ([r, g, b]) => {
     const f = (v) => ((v /= 255) <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
     return 0.2126 * f(r) + 0.7152 * f(g) + 0.0722 * f(b);
   };
   const behind = (e) => {
-    for (; e; e = e.parentElement) { const c = parse(getComputedStyle(e).backgroundColor); if (c[3] === 1) return c; }
+    for (; e; e = e.parentElement) {
+      const c = parse(getComputedStyle(e).backgroundColor);
+      if (c[3] === 1) return c;
+    }
     return [255, 255, 255, 1];
   };
   const weak = [];
   for (const e of document.querySelectorAll("main *")) {
     const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
     if (!own || !e.checkVisibility() || e.closest("svg, .sr, .tag, option")) continue;
-    const [a, b] = [light(parse(getComputedStyle(e).color)), light(behind(e))].sort((p, q) => q - p);
-    if ((a + 0.05) / (b + 0.05) < 4.5) weak.push(`${e.tagName}.${e.className}: ${e.textContent.trim().slice(0, 40)}`);
+    const text = light(parse(getComputedStyle(e).color));
+    const ground = light(behind(e));
+    const contrast = (Math.max(text, ground) + 0.05) / (Math.min(text, ground) + 0.05);
+    const words = e.textContent.trim().slice(0, 40);
+    if (contrast < 4.5) weak.push(`${e.tagName}.${e.className}: ${words}`);
   }
   return weak;
 }"""

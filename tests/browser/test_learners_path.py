@@ -25,7 +25,8 @@ ONLY_EXERCISES = (2, 4, 5)
 
 CELL = """words => {
     const notebook = window.jupyterapp.shell.currentWidget.content;
-    notebook.activeCellIndex = notebook.widgets.findIndex(w => w.model.sharedModel.getSource().includes(words));
+    const sources = notebook.widgets.map(w => w.model.sharedModel.getSource());
+    notebook.activeCellIndex = sources.findIndex(source => source.includes(words));
     notebook.activeCell.node.scrollIntoView();
     return notebook.activeCellIndex;
 }"""

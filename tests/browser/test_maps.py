@@ -32,7 +32,8 @@ FILL = """
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume
 camera = walk.mapping[0].camera
-fill = tsdf_fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04)), camera, lambda T_WC: walk.mapping[0])
+volume = TsdfVolume(TsdfConfig(voxel_size_m=0.04))
+fill = tsdf_fill_panel(volume, camera, lambda T_WC: walk.mapping[0])
 fill
 """
 

@@ -38,8 +38,16 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking import Edge, odometry_information
 from gsfusion_nb.types import Camera, Seeds
-from gsfusion_nb.viz import (adam_stepper, compositing_gradient_stepper, compositing_stepper, displaced_pose,
-    frame_surface, icp_stepper, pose_graph_stepper, quadtree_stepper)
+from gsfusion_nb.viz import (
+    adam_stepper,
+    compositing_gradient_stepper,
+    compositing_stepper,
+    displaced_pose,
+    frame_surface,
+    icp_stepper,
+    pose_graph_stepper,
+    quadtree_stepper,
+)
 sequence = RoomSequence(n_frames=480, width=80, height=60)
 frame, known = sequence[2], frame_surface(sequence[0])
 four = GaussianModel(sh_degree=0)
@@ -50,14 +58,18 @@ around = se3.exp(torch.tensor([0.9, 0.35, 0.0, 0.0, 0.0, 1.0], dtype=torch.float
 bent = around @ se3.exp(torch.tensor([0.03, -0.02, 0.0, 0.0, 0.0, 0.03], dtype=torch.float64))
 firm = odometry_information(1.0, 0.02)
 ring = [Edge(i=k, j=k + 1, T_ij=bent, information=firm, kind="odometry") for k in range(3)]
-ring.append(Edge(i=0, j=3, T_ij=torch.linalg.matrix_power(around, 3), information=firm, kind="loop"))
+closing = torch.linalg.matrix_power(around, 3)
+ring.append(Edge(i=0, j=3, T_ij=closing, information=firm, kind="loop"))
 """
 
 TIMES = """async () => {
   const root = document.querySelector(".gsnb-stepper-raycast");
-  const image = root.querySelector("img"), next = root.querySelector(".gsnb-stepper-next"), times = [];
+  const image = root.querySelector("img");
+  const next = root.querySelector(".gsnb-stepper-next");
+  const times = [];
   for (let i = 0; i < 12; i++) {
-    const began = performance.now(), before = image.src;
+    const began = performance.now();
+    const before = image.src;
     next.click();
     while (image.src === before) await new Promise(requestAnimationFrame);
     await image.decode();

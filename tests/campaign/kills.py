@@ -1,10 +1,11 @@
 """Kill a run at any moment, go on with it, and compare its maps with those of a run that was never killed.
 
-    python tests/campaign/kills.py --kills 300      # random moments and file operations; prints the figures
+    python tests/campaign/kills.py --kills 300
 
-Every run is a process of its own (a fork of this one, before any kernel has run), on the built-in room at 80x60. It is
-ended by SIGKILL: at its k-th file operation (before it, after it, or in the middle of a write), after its k-th step, or
-at a random time. Then it is resumed, perhaps killed again, until it completes.
+prints the figures of 300 random moments and file operations. Every run is a process of its own (a
+fork of this one, before any kernel has run), on the built-in room at 80x60. It is ended by SIGKILL:
+at its k-th file operation (before it, after it, or in the middle of a write), after its k-th step,
+or at a random time. Then it is resumed, perhaps killed again, until it completes.
 """
 
 import argparse

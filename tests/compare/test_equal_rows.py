@@ -20,9 +20,11 @@ QUICK = [
 ]  # fmt: skip
 UNUSED = "seeding.quadtree_threshold"
 """A setting of a rule that is not in use."""
+_QUICK_VALUES = [line.split("=") for line in QUICK if "rule=" not in line]
+_SETTINGS = "\n".join(f'"{name}" = {value}' for name, value in _QUICK_VALUES)
 LAB = f"""
 [settings]
-{chr(10).join(f'"{line.split("=")[0]}" = {line.split("=")[1]}' for line in QUICK if "rule=" not in line)}
+{_SETTINGS}
 [[scenes]]
 data = "SCENE"
 label = "wall"

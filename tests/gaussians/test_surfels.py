@@ -269,7 +269,8 @@ def test_errors_are_the_worst_pixel_of_a_stable_row():
     count_errors(
         model,
         *images(
-            #   row 0 wrong in 1 of 2 pixels, row 1 at the limit, row 4 unstable, no row, row 0 again
+            # row 0 wrong in 1 of 2 pixels, row 1 at the limit, row 4 unstable, no row,
+            # row 0 again
             [0.05, 0.11, 0.1, 0.9, 0.9, 0.3],
             [0, 0, 1, 4, -1, 0],
             [-0.11, 0.11, 0.1, -0.1, 0.5, 0.5],

@@ -70,7 +70,8 @@ ON_AN_AMD_GPU = """
 import torch
 torch.cuda.is_available, torch.version.hip = lambda: True, "6.4"
 from gsfusion_nb import backends, optim, render, tsdf
-print([backends.automatic(name, "cuda") for name in ("render_forward", "render_vjp", "band_blocks", "disc_depth")])
+operations = ("render_forward", "render_vjp", "band_blocks", "disc_depth")
+print([backends.automatic(name, "cuda") for name in operations])
 """
 
 

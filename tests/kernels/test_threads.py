@@ -21,7 +21,8 @@ mapper = GSFusion(gsfusion("room"))
 for i in range(3):
     mapper.step(frames[i])
 bits = hashlib.sha256()
-for values in (mapper.gaussians.params.xyz_W, mapper.volume.D, mapper.surface(frames.camera, frames[1].T_WC).depth_m):
+surface = mapper.surface(frames.camera, frames[1].T_WC)
+for values in (mapper.gaussians.params.xyz_W, mapper.volume.D, surface.depth_m):
     bits.update(values.contiguous().numpy().tobytes())
 print(kernel_threads()[0], numba.threading_layer(), bits.hexdigest())
 """

@@ -34,12 +34,13 @@ const { pose, intrinsics, width, height, look, rules, scale } = input;
 const view = viewOf(pose, intrinsics, width, height, scale);
 const answers = input.ask.map((extra) => {
   const [reply] = engine.handle({ view, rules, ...extra, look: { ...look, ...extra.look } });
-  const plain = Object.fromEntries(Object.entries(reply).map(([k, v]) => [k, ArrayBuffer.isView(v) ? [...v] : v]));
-  return plain;
+  const plain = ([k, v]) => [k, ArrayBuffer.isView(v) ? [...v] : v];
+  return Object.fromEntries(Object.entries(reply).map(plain));
 });
 const p = project(engine.rows, view, look, rules);
 const projected = {};
-for (const k of Object.keys(p).filter((k) => k !== "count")) projected[k] = [...p[k].subarray(0, p.count)];
+const columns = Object.keys(p).filter((k) => k !== "count");
+for (const k of columns) projected[k] = [...p[k].subarray(0, p.count)];
 console.log(JSON.stringify({ answers, projected, order: [...depthOrder(p)] }));
 """
 

@@ -20,7 +20,8 @@ _NBGRADER_CONFIG = '''"""Settings of nbgrader for the chapters of gsfusion-nb.""
 
 import os
 
-os.environ["GSNB_VIEW"] = "static"  # a submission that is marked leaves nothing in your own progress
+# a submission that is marked leaves nothing in your own progress
+os.environ["GSNB_VIEW"] = "static"
 c = get_config()  # noqa: F821
 c.CourseDirectory.course_id = "gsfusion_nb"
 c.ClearSolutions.code_stub = {"python": "# YOUR CODE HERE"}

@@ -1,20 +1,23 @@
 """The plain layout for your own data: ``rgb/``, ``depth/``, ``poses.txt``, ``intrinsics.json``.
 
     my_scan/
-      rgb/000000.jpg ...        8-bit colour, JPEG or PNG, used as stored: a turn that EXIF asks for is not made
-      depth/000000.png ...      16-bit, one channel, registered to the colour image; 0 = missing; same names as in rgb/
-      poses.txt                 one line per image in order: 16 row-major numbers of the camera-to-world matrix, or the
-                                name of the image and these
-      times.txt                 optional, lines "name seconds": when each image was taken; or "name seconds seconds",
-                                with the time of its depth, which is then moved to where the camera was for the colour
-      intrinsics.json           {"width": 640, "height": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5,
-                                 "depth_scale": 1000}
+      rgb/000000.jpg ...      8-bit colour, JPEG or PNG, used as stored: a turn that EXIF asks for
+                              is not made
+      depth/000000.png ...    16-bit, one channel, registered to the colour image; 0 = missing;
+                              same names as in rgb/
+      poses.txt               one line per image in order: 16 row-major numbers of the
+                              camera-to-world matrix, or the name of the image and these
+      times.txt               optional, lines "name seconds": when each image was taken; or
+                              "name seconds seconds", with the time of its depth, which is then
+                              moved to where the camera was for the colour
+      intrinsics.json         {"width": 640, "height": 480, "fx": 525, "fy": 525,
+                               "cx": 319.5, "cy": 239.5, "depth_scale": 1000}
 
 Keys of ``intrinsics.json``: those seven, and optionally
 
 | key | default | meaning |
 |---|---|---|
-| ``pixel_centre`` | 0.0 | place of the first pixel's centre: 0.0 as in OpenCV, Open3D, ROS; 0.5 as in COLMAP |
+| ``pixel_centre`` | 0.0 | centre of the first pixel: 0.0 as in OpenCV, Open3D, ROS; 0.5 as in COLMAP |
 | ``depth_invalid`` | 0 | a stored depth that means "missing", besides 0 |
 | ``fps`` | 30 | frames per second, for the time stamps where there is no times.txt |
 | ``pose_convention`` | "camera-to-world" | must begin with that; any comment may follow |

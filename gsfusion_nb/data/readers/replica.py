@@ -1,9 +1,10 @@
 """Replica as rendered for NICE-SLAM (Sucar et al. 2021, Zhu et al. 2022): 1200x680, perfect depth and poses.
 
 office0/
-  results/frame000000.jpg ... depth000000.png ...    16-bit depth, 6553.5 per metre
-  traj.txt                                           line n: 16 row-major numbers of frame n's camera-to-world matrix
-cam_params.json                                      beside traj.txt or in the folder above
+  results/frame000000.jpg ...    8-bit colour
+  results/depth000000.png ...    16-bit depth, 6553.5 per metre
+  traj.txt                       line n: frame n's camera-to-world matrix, 16 row-major numbers
+cam_params.json                  beside traj.txt or in the folder above
 """
 
 import re

@@ -1,9 +1,9 @@
 """Microsoft 7-Scenes (Shotton et al. 2013): a hand-held Kinect, poses from KinectFusion.
 
     redkitchen/seq-01/
-      frame-000000.color.png      8-bit colour (some copies hold JPEG), not registered to the depth image
-      frame-000000.depth.png      16-bit, 1000 per metre; 0 and 65535 = missing
-      frame-000000.pose.txt       4x4 camera-to-world matrix of the depth camera
+      frame-000000.color.png    8-bit colour (some copies hold JPEG), not registered to the depth
+      frame-000000.depth.png    16-bit, 1000 per metre; 0 and 65535 = missing
+      frame-000000.pose.txt     4x4 camera-to-world matrix of the depth camera
 
 Colour comes from another camera about 2 cm to the side with another focal length: 10 to 20 pixels off.
 """

@@ -118,7 +118,9 @@ class game(KeyframeRule):
 
     Half of the pixels with depth where
 
-        A < 0.3   or   ( D^ > D  and  |D^ - D| > 40 median |D^ - D| )   or   mean over R, G, B of |C^ - C| > 0.1
+           A < 0.3
+        or ( D^ > D  and  |D^ - D| > 40 median |D^ - D| )
+        or mean over R, G, B of |C^ - C| > 0.1
 
     with the map's picture C^ over white. Round Gaussians of standard deviation sqrt(0.05) d, with the root mean square
     distance d to the 3 nearest neighbours, new or in the map. After the last gradient step of a frame the Gaussians are

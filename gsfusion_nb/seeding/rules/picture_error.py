@@ -85,11 +85,12 @@ class on_the_fly_nvs(KeyframeRule):
 
     Each pixel with depth is seeded with the probability P(image) - P(map's picture), where
 
-        P = 2 clamp(B |Laplacian|, 0, 1),      |Laplacian| summed over R, G, B,   B a blur with a disc
+        P = 2 clamp(B |Laplacian|, 0, 1)
 
-    so where the frame has detail that the map's picture lacks. B is the mean over a disc of radius 3 pixels; P(image)
-    and the colours of the Gaussians are those of the image halved and enlarged again. A round Gaussian covers the area
-    that one stands for: its standard deviation is clamp(1 / sqrt(P(image)), 1, W / 10) pixels.
+    so where the frame has detail that the map's picture lacks. |Laplacian| is summed over R, G, B. B is
+    a blur, the mean over a disc of radius 3 pixels. P(image) and the colours of the Gaussians are those
+    of the image halved and enlarged again. A round Gaussian covers the area that one stands for: its
+    standard deviation is clamp(1 / sqrt(P(image)), 1, W / 10) pixels.
 
     Args:
         density: Multiplies both P, so the number of Gaussians, with sizes 1 / sqrt(density) times as large. Release: 1.
