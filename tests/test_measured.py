@@ -83,6 +83,21 @@ def test_a_table_is_old_when_what_it_depends_on_has_changed(project):
     assert old() == ["walls"]
 
 
+def test_a_commit_that_only_lays_out_source_makes_no_table_old(project):
+    def old():
+        return measured.list_old(measured.read_recipes(project), project)
+
+    (project / "code.py").write_text("( 2 )\n")
+    commit(project)
+    assert old() == ["walls"]
+    layout = measured.git("rev-parse", "HEAD", root=project)
+    (project / measured.LAYOUT_COMMITS).write_text(f"# laid out anew\n{layout}")
+    assert old() == []
+    (project / "code.py").write_text("3\n")
+    commit(project)
+    assert old() == ["walls"]
+
+
 def with_commit(project, commit):
     """The table of the project, as if it had been measured with this commit."""
     path = project / "docs/measured/walls.json"

@@ -27,6 +27,9 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = "docs/measured"
+LAYOUT_COMMITS = ".git-blame-ignore-revs"
+"""Commits that changed only how the source is laid out; ``git blame`` skips them, and so does the age of a table."""
+
 COMMIT_HERE = "commit_here"
 """Key of a file of numbers: whether its commit is in the history of this repository; absent means that it is."""
 KEYS = {"about", "depends", "columns", "rows", "runs", "cells", "texts", "minutes", "quiet"}
@@ -166,8 +169,18 @@ def reason_of_age(name: str, recipe: Mapping[str, Any], root: Path = ROOT) -> st
         return f"its commit is not in this repository: {numbers['commit'][:8]} of {numbers['date']}"
     if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
         return "the recipe has changed"
-    since = git("log", "--oneline", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root)
-    return f"{len(since.splitlines())} commits since {numbers['date']}" if since else ""
+    since = git("log", "--format=%H", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root).split()
+    changes = [commit for commit in since if commit not in layout_commits(root)]
+    return f"{len(changes)} commits since {numbers['date']}" if changes else ""
+
+
+def layout_commits(root: Path = ROOT) -> set[str]:
+    """Full names of the commits that changed only the layout of the source (``LAYOUT_COMMITS``)."""
+    path = root / LAYOUT_COMMITS
+    if not path.is_file():
+        return set()
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return {line.strip() for line in lines if line.strip() and not line.startswith("#")}
 
 
 def note_commits(root: Path = ROOT) -> list[str]:

@@ -39,6 +39,13 @@ _IDLE = "app?.shell.currentWidget?.sessionContext?.session?.kernel?.status === '
 _DONE = "cells.filter(c => c.type === 'code').every(c => c.executionCount !== null && c.executionState !== 'running')"
 
 
+def pytest_collection_modifyitems(items):
+    """A test in a browser that fails is run once more, because a browser may stumble."""
+    for item in items:
+        if item.path.is_relative_to(Path(__file__).parent):
+            item.add_marker(pytest.mark.flaky(reruns=1))
+
+
 class Lab:
     """One server and one browser. ``open(cells)`` runs a new notebook and gives its page."""
 
