@@ -20,7 +20,7 @@ from ...data.lens import CameraModel
 from ...data.sequence import SequenceError
 from ...files import parsing, read_object, read_text, refusing
 from ...types import Camera
-from .recording import read_array
+from .recording import ConvertOptions, OptionNeeded, RecordedFrame, read_array
 from .trajectory import read_numbers
 
 WAYS = (
@@ -68,6 +68,31 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
     if len(values) not in (4, 8, 9, 12, 16, 18):
         raise SequenceError(f"{source} must be {WAYS}, got {len(values)} numbers")
     return model_of(values[:4], size, source, centre=centre, distortion=tuple(values[4:]))
+
+
+def intrinsics_of_frame(frame: RecordedFrame, size: tuple[int, int], name: str, options: ConvertOptions) -> CameraModel:
+    """Camera of a colour image: that of the options, or its own.
+
+    Args:
+        frame: The frame.
+        size: Width and height of its colour image, pixels.
+        name: Of the recording.
+        options: How it is read.
+
+    Raises:
+        OptionNeeded: nothing tells it.
+    """
+    if options.intrinsics not in ("", "estimate"):
+        return read_intrinsics(options.intrinsics, size, centre=options.pixel_centre)
+    if frame.model is None:
+        raise OptionNeeded(
+            f"{name} does not contain the camera's intrinsics; give --intrinsics 'fx fy cx cy' "
+            "(pixels), the focal length alone, or a file with them",
+            option="intrinsics",
+            question=f"What is the focal length of images of {size[0]}x{size[1]} in pixels? Or fx fy cx cy, or a "
+            "file with them. estimate: it is measured on the images",
+        )
+    return frame.model
 
 
 def model_of(

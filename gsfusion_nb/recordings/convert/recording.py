@@ -48,6 +48,18 @@ class OptionNeeded(SequenceError):
         self.option, self.question, self.choices = option, question, choices
 
 
+@dataclass(frozen=True)
+class DepthUnit:
+    """The stored depth of one metre, and how it is known."""
+
+    scale: float
+    sentence: str
+    is_guess: bool = False
+    """Nothing in the files tells it, but the camera's motion may."""
+    question: OptionNeeded | None = None
+    """What is asked where the motion does not tell it, either; None: the guess is good enough to go on with."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions(Settings):
     """How a recording is read and written."""
@@ -80,7 +92,7 @@ class ConvertOptions(Settings):
     """Folder of the colour images, where a folder of images holds several that may be meant."""
     depth_scale: float = within(0.0, 0)
     """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; folders of images:
-    inferred from names and depths, or asked for."""
+    that of their calibration, else measured by the camera's motion, else guessed from the depths, or asked for."""
     intrinsics: str = ""
     """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", the focal length alone, or a
     file with these numbers, a matrix, or JSON. "estimate" measures the focal length of a folder of images."""
@@ -175,6 +187,8 @@ class Recording:
     n_frames: int
     depth_scale: float = 1000.0
     """Stored depth value of one metre, which the written images keep."""
+    unit: DepthUnit | None = None
+    """How ``depth_scale`` is known; None: the format or an option says it."""
     depth_along_ray: bool = False
     has_poses: bool = True
     poses_file: str = ""

@@ -13,16 +13,16 @@ import numpy as np
 
 from ...checks import check_name
 from ...data.adjust.repair import resized_camera
-from ...data.lens import CameraModel
 from ...data.recorded.times import judge_stamps
 from ...data.room.hand_held import write_depth, write_rgb
 from ...data.sequence import BadFrameError, SequenceError
 from ...files import atomic_folder, parsing
 from ...types import Camera
 from ...work import ProgressDisplay
+from .depth_motion import measured_unit
 from .formats import FORMATS, detect_format
-from .intrinsics import read_intrinsics
-from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording, RgbdImages
+from .intrinsics import intrinsics_of_frame, read_intrinsics
+from .recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
 from .rectifier import Rectifier
 from .trajectory import FramePoses, read_matrix
 
@@ -101,13 +101,33 @@ def convert(
         name = detect_format(path) if format == "auto" else format
         what = f"a recording in the format {name}"
         with parsing(path, what):
-            recording = FORMATS[name].read(path, options)
+            recording = _read(name, path, options)
         conversion = _Conversion(recording, options, folder)
         with ProgressDisplay("converting", total=recording.n_frames, unit="frame", shown=progress) as display:
             frames = display.over(_read_on(recording, what))
             for place, frame in itertools.islice(enumerate(frames), options.start, options.stop or None, options.every):
                 conversion.add(place, frame)
         return conversion.finish(name, out)
+
+
+def _read(name: str, path: Path, options: ConvertOptions) -> Recording:
+    """The recording in a format, with the unit of its depth measured where the files do not tell it.
+
+    Raises:
+        OptionNeeded: neither the files nor the camera's motion tell it.
+    """
+    recording = FORMATS[name].read(path, options)
+    unit = recording.unit
+    if unit is None or not unit.is_guess:
+        return recording
+    measured = measured_unit(recording, options)
+    if measured is None and unit.question is not None:
+        raise unit.question
+    if measured is None:
+        return dataclasses.replace(recording, notes=(*recording.notes, unit.sentence))
+    if measured.scale != recording.depth_scale:
+        recording = FORMATS[name].read(path, dataclasses.replace(options, depth_scale=measured.scale))
+    return dataclasses.replace(recording, notes=(*recording.notes, measured.sentence))
 
 
 def _without_depth(source: str, depth_m: np.ndarray, scale: float) -> str:
@@ -254,7 +274,7 @@ class _Conversion:
 
     def _rectified(self, frame: RecordedFrame, images: RgbdImages) -> RgbdImages:
         height, width = images.rgb.shape[:2]
-        model = self._model(frame, (width, height))
+        model = intrinsics_of_frame(frame, (width, height), self._recording.name, self._options)
         frame = self._with_depth_camera(frame, images.depth_m.shape)
         if self._rectifier is None:
             pinhole = model.fitted(width, height, frame.source).pinhole()
@@ -279,19 +299,6 @@ class _Conversion:
             model = read_intrinsics(given, (shape[1], shape[0]), centre=self._options.pixel_centre)
             frame = dataclasses.replace(frame, depth_model=model)
         return frame if T is None else dataclasses.replace(frame, T_colour_depth=T)
-
-    def _model(self, frame: RecordedFrame, size: tuple[int, int]) -> CameraModel:
-        if self._options.intrinsics not in ("", "estimate"):
-            return read_intrinsics(self._options.intrinsics, size, centre=self._options.pixel_centre)
-        if frame.model is None:
-            raise OptionNeeded(
-                f"{self._recording.name} does not contain the camera's intrinsics; give --intrinsics 'fx fy cx cy' "
-                "(pixels), the focal length alone, or a file with them",
-                option="intrinsics",
-                question=f"What is the focal length of images of {size[0]}x{size[1]} in pixels? Or fx fy cx cy, or a "
-                "file with them. estimate: it is measured on the images",
-            )
-        return frame.model
 
     def _time_hint(self) -> str:
         """Both time ranges, if no frame has a pose in the trajectory."""

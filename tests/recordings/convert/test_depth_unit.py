@@ -1,9 +1,14 @@
-"""The unit of stored depth."""
+"""The unit of stored depth: what people film, and what the camera's motion tells."""
+
+from functools import cache
 
 import numpy as np
 import pytest
+import torch
 
 from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data.readers.folder import folder as read_folder
+from gsfusion_nb.recordings.convert.depth_motion import PosedDepth, units_per_metre
 from gsfusion_nb.recordings.convert.depth_unit import find_depth_unit
 
 
@@ -25,15 +30,24 @@ def folder(tmp_path):
 
 
 def test_the_range_decides_where_only_one_unit_gives_plausible_depths(folder):
-    assert find_depth_unit(folder("scan"), depths(0.6, 2.0, 1000))[0] == 1000
-    assert find_depth_unit(folder("other"), depths(1.0, 4.0, 5000))[0] == 5000
+    unit = find_depth_unit(folder("scan"), depths(0.6, 2.0, 1000))
+    assert (unit.scale, unit.is_guess, unit.question) == (1000, True, None)
+    assert find_depth_unit(folder("other"), depths(1.0, 4.0, 5000)).scale == 5000
+
+
+def test_a_guess_names_its_rivals_and_the_option(folder):
+    """0.6 to 2 m in tenths of a millimetre look like 1.2 to 4 m in the benchmark's unit."""
+    told = find_depth_unit(folder("scan"), depths(0.6, 2.0, 10_000)).sentence
+    assert "nothing proves it" in told
+    assert "10000 would be 1.30 m" in told
+    assert "--depth-scale" in told
 
 
 def test_what_nothing_decides_is_asked_for(folder):
     unclear = depths(2.0, 4.5, 1000)  # or 0.4 to 0.9 m with 5000
-    with pytest.raises(SequenceError, match="give --depth-scale"):
-        find_depth_unit(folder("scan"), unclear)
-    assert find_depth_unit(folder("rgbd_dataset_freiburg1_x"), unclear)[0] == 5000
+    assert "give --depth-scale" in str(find_depth_unit(folder("scan"), unclear).question)
+    known = find_depth_unit(folder("rgbd_dataset_freiburg1_x"), unclear)
+    assert (known.scale, known.is_guess) == (5000, False)
 
 
 def test_whole_metres_have_lost_their_precision(folder):
@@ -42,7 +56,33 @@ def test_whole_metres_have_lost_their_precision(folder):
 
 
 def test_no_plausible_unit_is_asked_for(folder):
-    with pytest.raises(SequenceError, match="give --depth-scale"):
-        find_depth_unit(folder("scan"), depths(0.02, 0.1, 1000))
+    assert "give --depth-scale" in str(find_depth_unit(folder("scan"), depths(0.02, 0.1, 1000)).question)
     with pytest.raises(SequenceError, match="hold no depth"):
         find_depth_unit(folder("empty"), [np.zeros((4, 4), np.float32)])
+
+
+@cache
+def pairs_of(root):
+    """Frames of a Kinect, and others 4 and 12 frames later."""
+    kitchen = read_folder(root)
+    return [(kitchen[a], kitchen[a + gap]) for a in (0, 10, 20, 30) for gap in (4, 12)]
+
+
+@pytest.fixture
+def walk(shared_sequence):
+    return pairs_of(shared_sequence("redkitchen_mini48"))
+
+
+@pytest.mark.parametrize("scale", [10_000.0, 6553.5, 2000.0, 1.0])
+def test_the_motion_of_a_kinect_tells_the_unit(walk, scale):
+    def posed(frame):
+        return PosedDepth(frame.depth_m * scale, frame.camera, frame.T_WC.double())
+
+    assert units_per_metre([(posed(a), posed(b)) for a, b in walk]) == pytest.approx(scale, rel=0.05)
+
+
+def test_a_camera_that_stands_tells_no_unit(walk):
+    still = torch.eye(4, dtype=torch.float64)
+    pairs = [(PosedDepth(a.depth_m, a.camera, still), PosedDepth(a.depth_m, a.camera, still)) for a, _ in walk]
+    assert units_per_metre(pairs) is None
+    assert units_per_metre([]) is None

@@ -21,7 +21,8 @@ from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
 from ..intrinsics import model_of_tree
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, Recording
-from .images import FrameFiles, paired_by_name, recording_of
+from .image_recording import recording_of
+from .pairing import FrameFiles, paired_by_name
 
 _COLOUR = ("color", "image", "rgb", "images")
 _TRAJECTORIES = ("trajectory.log", "scene/trajectory.log", "scene/integrated.log", "*.log", "trajectory.json")

@@ -25,7 +25,8 @@ from ....files import inflate, open_regular, read_exactly
 from ....geometry import se3
 from ..intrinsics import model_of_matrix
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, find_depth, metres, with_colour
-from .images import FrameFiles, recording_of
+from .image_recording import recording_of
+from .pairing import FrameFiles
 
 LOOKS_FOR = "a .sens file, or a folder with color/, depth/, pose/ and intrinsic/"
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from ....data.recorded.times import read_image_list
 from ..recording import ConvertOptions, Recording
-from .images import FrameFiles, Numbered, judged, notes_on_times, paired, recording_of, without_times
+from .image_recording import recording_of
+from .pairing import FrameFiles, Numbered, judged, notes_on_times, paired, without_times
 
 _ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt", "assoc.txt")
 

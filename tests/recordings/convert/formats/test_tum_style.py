@@ -153,7 +153,9 @@ def test_names_that_are_no_times_pair_the_images(tmp_path, takes):
 
 def test_the_unit_of_depth_is_inferred_or_asked_for(tmp_path, takes):
     report = convert(write_tum(tmp_path / "scan", takes), tmp_path / "out")
-    assert any(n.startswith("depth was taken as 5000 units a metre, because") for n in report.notes)
+    assert any(n.startswith("depth was taken as 5000 units a metre, measured by the camera's") for n in report.notes)
+    guessed = convert(tmp_path / "scan", tmp_path / "guessed", options=ConvertOptions(poses="none"))
+    assert any("because that gives depths of a hand-held camera" in n and "--depth-scale" in n for n in guessed.notes)
     root = write_tum(tmp_path / "millimetres", takes)
     for i, t in enumerate(takes.times_s):
         takes.write(root / f"depth/{t + 0.005:.6f}.png", takes.depth_png(i, 1000))

@@ -1,0 +1,205 @@
+"""The unit of depth by the camera's motion: the one with which depth images predict each other under the given poses.
+
+A camera that moves by 10 cm sees a wall at 1 m grow, and one at 2 m half as much: of all units only the right one makes
+the points of one depth image fall on the surface in another.
+"""
+
+import contextlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...data.adjust.depth_agreement import thinned
+from ...data.lens import same_proportions
+from ...data.sequence import BadFrameError
+from ...geometry import pixel_grid
+from ...types import Camera
+from ..checkup.fit import CalibrationCorrection, FitData, reproject
+from .depth_unit import KNOWN
+from .intrinsics import intrinsics_of_frame, read_intrinsics
+from .recording import ConvertOptions, DepthUnit, OptionNeeded, RecordedFrame, Recording
+from .trajectory import FramePoses
+
+_ANCHORS = 10
+_GAPS = (1, 4, 12, 30)
+"""Frames between the two of a pair."""
+_PAIRS = 20
+"""Pairs that tell the unit best are compared closely."""
+_WIDTH = 160
+"""Of the depth images that are compared."""
+_POINTS = 200
+"""Of a depth image that are moved."""
+_SCALES = 1000.0 * np.exp(np.linspace(np.log(0.0005), np.log(40.0), 115))
+"""Units a metre to try, 0.5 to 40,000 in steps of 10 %."""
+_TOLERANCE = 0.06
+"""A point agrees if its depth differs by less than this share; of a precise sensor less."""
+_AROUND = np.linspace(-0.8, 0.8, 65)
+"""Units around the best that are tried closely, as logarithms of factors on it."""
+_FEWEST_PAIRS = 3
+_TELLS = 0.1
+"""A pair tells the unit if its score, 0 to 1, differs by more between the units."""
+_LEAST_SCORE = 0.2
+_CLEAR = 0.85
+"""Of the best score all units that differ by more than ``_NEAR`` stay below."""
+_NEAR = 1.2
+_SNAPS = 1.06
+"""A unit that programs write is taken if the best one is nearer to it than this factor."""
+_FILMED_M = (0.1, 60.0)
+"""Medians of depth that people film."""
+
+
+@dataclass(frozen=True, eq=False)
+class PosedDepth:
+    """A depth image as stored, its camera and where it was."""
+
+    stored: Float[Tensor, "H W"]
+    camera: Camera
+    T_WC: Float[Tensor, "4 4"]
+    """Metres."""
+
+
+def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | None:
+    """The unit of depth that the poses tell; None where there are none, or where they do not tell it.
+
+    Args:
+        recording: Depth is read in its ``depth_scale``.
+        options: How it is read.
+
+    Raises:
+        OptionNeeded: the poses or the camera are missing.
+        SequenceError: the motion tells a unit that no program writes.
+    """
+    poses = FramePoses(recording, options)
+    if poses.none:
+        return None
+    anchors = _anchors(recording.n_frames)
+    places = {a + gap for a in anchors for gap in (0, *_GAPS)}
+    there: dict[int, PosedDepth] = {}
+    for place, frame in enumerate(recording.frames()):
+        if place in places and (posed := _posed(poses, place, frame, recording, options)):
+            there[place] = posed
+    pairs = [(there[a], there[a + gap]) for a in anchors for gap in _GAPS if {a, a + gap} <= there.keys()]
+    best = units_per_metre(pairs)
+    if best is None:
+        return None
+    middle_m = float(np.median([float(p.stored[p.stored > 0].median()) for p, _ in pairs])) / best
+    if not _FILMED_M[0] <= middle_m <= _FILMED_M[1]:
+        return None
+    known = min(KNOWN, key=lambda scale: abs(np.log(scale / best)))
+    if max(known / best, best / known) > _SNAPS:
+        raise OptionNeeded(
+            f"{recording.name}: by the camera's motion one metre is {best:.4g} units of depth, which no program "
+            "writes; if the poses are right: --depth-scale with that number; else the unit, and gsfusion-nb check",
+            option="depth_scale",
+            question=f"By the camera's motion one metre is {best:.4g} units of depth. Which stored depth is one metre?",
+        )
+    sentence = (
+        f"depth was taken as {known:g} units a metre, measured by the camera's motion on {len(pairs)} pairs of frames "
+        f"({best:.4g}; --depth-scale)"
+    )
+    return DepthUnit(known, sentence)
+
+
+def units_per_metre(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> float | None:
+    """Stored depth of one metre under which the first image of each pair predicts the second; None: unclear."""
+    if not pairs:
+        return None
+    data = _fit_data(pairs)
+    curves = torch.stack([_scores(data, scale, _TOLERANCE) for scale in _SCALES], 1)
+    contrast = curves.amax(1) - curves.amin(1)
+    chosen = contrast.argsort(descending=True)[:_PAIRS]
+    chosen = chosen[contrast[chosen] > _TELLS]
+    if len(chosen) < min(_FEWEST_PAIRS, len(pairs)):
+        return None
+    best = float(_SCALES[int(curves[chosen].mean(0).argmax())])
+    close = _fit_data([pairs[i] for i in chosen.tolist()])
+    _, residual, known = reproject(close, _correction(best))
+    precise = min(max(3 * float(residual[known].abs().median()), 0.002), _TOLERANCE)
+    scores = np.array([float(_scores(close, best * math.exp(step), precise).mean()) for step in _AROUND])
+    top = int(scores.argmax())
+    far = np.abs(_AROUND - _AROUND[top]) > math.log(_NEAR)
+    if scores[top] < _LEAST_SCORE or scores[far].max() > _CLEAR * scores[top]:
+        return None
+    return best * math.exp(_AROUND[top])
+
+
+def _fit_data(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> FitData:
+    """Points of the first images and the second images of the pairs, with depth as stored."""
+    frames = list({id(posed): posed for pair in pairs for posed in pair}.values())
+    row = {id(posed): i for i, posed in enumerate(frames)}
+    full = frames[0].camera
+    step = max(1, round(full.width / _WIDTH))
+    small = [thinned(posed.camera, posed.stored, step) for posed in frames]
+    camera = small[0][0]
+    depth = torch.stack([image for _, image in small])
+    spacing = max(1, round(math.sqrt(camera.width * camera.height / _POINTS)))
+    uv = pixel_grid(camera)[spacing // 2 :: spacing, spacing // 2 :: spacing].reshape(-1, 2)
+    u, v = uv.long().unbind(-1)
+    first = [row[id(a)] for a, _ in pairs]
+    second = [row[id(b)] for _, b in pairs]
+    T_WC = torch.stack([posed.T_WC for posed in frames])
+    return FitData(
+        uv_a=uv.expand(len(pairs), -1, 2),
+        depth_a=depth[first][:, v, u],
+        depth_b=depth[second],
+        camera=camera,
+        thinning=full.width / camera.width,
+        rows=(first, second),
+        path=lambda shift: T_WC,
+    )
+
+
+def _correction(units_per_m: float) -> CalibrationCorrection:
+    return CalibrationCorrection(log_scale=-math.log(units_per_m))
+
+
+def _scores(data: FitData, units_per_m: float, tolerance: float) -> Float[Tensor, " P"]:
+    """How well the first image of each pair predicts the second in a unit: 0, nowhere, to 1, everywhere exactly."""
+    _, residual, known = reproject(data, _correction(units_per_m))
+    each = (1 - residual.abs() / tolerance).clamp_min(0) * known
+    return each.sum(1) / (data.depth_a > 0).sum(1).clamp_min(1)
+
+
+def _anchors(n_frames: int) -> list[int]:
+    last = max(0, n_frames - 1 - min(_GAPS[-2], n_frames // 2))
+    return sorted({int(place) for place in np.linspace(0, last, _ANCHORS)})
+
+
+def _posed(
+    poses: FramePoses, place: int, frame: RecordedFrame, recording: Recording, options: ConvertOptions
+) -> PosedDepth | None:
+    """A frame with its pose and its depth as stored; None where one of them is missing or damaged."""
+    with contextlib.suppress(BadFrameError):
+        T_WC, _ = poses.of(place, poses.timed(frame))
+        if T_WC is None:
+            return None
+        images = frame.load()
+        height, width = images.depth_m.shape
+        stored = torch.from_numpy(images.depth_m * np.float32(recording.depth_scale))
+        colour_size = (images.rgb.shape[1], images.rgb.shape[0])
+        camera = _camera(frame, colour_size, (width, height), recording, options)
+        return None if camera is None else PosedDepth(stored, camera, T_WC)
+    return None
+
+
+def _camera(
+    frame: RecordedFrame,
+    colour_size: tuple[int, int],
+    size: tuple[int, int],
+    recording: Recording,
+    options: ConvertOptions,
+) -> Camera | None:
+    """The pinhole of the depth image, whose lens may be left out for this; None if depth shows another view."""
+    if options.depth_intrinsics not in ("", "colour"):
+        model = read_intrinsics(options.depth_intrinsics, size, centre=options.pixel_centre)
+    elif frame.depth_model is not None and not options.depth_intrinsics:
+        model = frame.depth_model
+    else:
+        model = intrinsics_of_frame(frame, colour_size, recording.name, options)
+    given = (model.camera.width, model.camera.height)
+    return model.camera.resized(*size) if same_proportions(size, given) else None

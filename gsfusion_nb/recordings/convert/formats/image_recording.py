@@ -1,0 +1,124 @@
+"""What a folder tells beside its images: the cameras, where depth stands, the unit of depth, and the poses."""
+
+import contextlib
+import itertools
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from ....data.lens import CameraModel
+from ....data.readers.seven_scenes import calibrated_folders
+from ....data.readers.tum import LENSES, benchmark_camera
+from ....data.recorded.files import CALIBRATION_SUFFIXES, calibration_in, first_of, told_outside
+from ....data.recorded.images import read_rgb
+from ....data.sequence import BadFrameError
+from ....files import is_file
+from ..depth_unit import find_depth_unit, some_depths
+from ..focal_length import estimated_model
+from ..intrinsics import read_intrinsics
+from ..recording import ConvertOptions, RecordedFrame, Recording, check_exr, load_pair, read_depth_file
+from .pairing import FrameFiles
+
+_OF_DEPTH = ("intrinsic/intrinsic_depth.*", "intrinsic_depth.*", "depth_intrinsic*")
+_POSES = (
+    "groundtruth.*",
+    "poses.*",
+    "pose.*",
+    "*poses.*",
+    "traj*",
+    "*.traj",
+    "CameraTrajectory.txt",
+    "pos.*",
+    "pose",
+    "poses",
+)
+
+
+def recording_of(
+    path: Path,
+    found: FrameFiles,
+    options: ConvertOptions,
+    *,
+    model: CameraModel | None = None,
+    T_WC: Sequence[Float[Tensor, "4 4"] | None] = (),
+) -> Recording:
+    """The recording of pairs of images, with the camera, the poses and the unit of depth that the folder tells.
+
+    Args:
+        path, found, options: The folder, its frames, and how to read them.
+        model: The camera, if the folder tells none.
+        T_WC: Pose of each frame, None where it is unknown; by default those of a file in the folder.
+    """
+    check_exr(found.pairs[0][1])
+    unit = None
+    if not options.depth_scale:
+        unit = find_depth_unit(path, some_depths([depth for _, depth in found.pairs]))
+    scale = options.depth_scale if unit is None else unit.scale
+    about_unit = () if unit is None or unit.is_guess else (unit.sentence,)
+    of_folder, about = _model(path, found, scale, options)
+    model = of_folder or model
+    of_depth = first_of(path, _OF_DEPTH, CALIBRATION_SUFFIXES)
+    depth_model = None
+    if of_depth:
+        height, width = read_depth_file(next((d for _, d in found.pairs if is_file(d)), found.pairs[0][1]), 1.0).shape
+        depth_model = read_intrinsics(str(of_depth), (width, height))
+        about.append(f"intrinsics of depth from {of_depth}")
+    images = found.pairs[0][0].parent
+    poses = str(first_of(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or "")  # folders have no suffix
+    poses = poses or str(images) * any(images.glob("*pose.txt"))
+    unknown = [None] * len(found.pairs)
+    frames = [*zip(found.pairs, found.times_s or unknown, found.depth_times_s or unknown, T_WC or unknown, strict=True)]
+
+    def recorded_frames() -> Iterator[RecordedFrame]:
+        for (colour, depth), time_s, depth_time_s, T in frames:
+            yield RecordedFrame(
+                source=str(colour),
+                time_s=time_s,
+                depth_time_s=depth_time_s,
+                model=model,
+                depth_model=depth_model,
+                T_WC=T,
+                load=partial(load_pair, colour, depth, scale),
+            )
+
+    return Recording(
+        name=str(path),
+        frames=recorded_frames,
+        n_frames=len(found.pairs),
+        depth_scale=scale,
+        unit=unit,
+        has_poses=bool(poses or T_WC),
+        poses_file="" if T_WC else poses,
+        dropped=found.dropped,
+        notes=(*about, *found.notes, *about_unit, *filter(None, [told_outside(path, itertools.chain(*found.pairs))])),
+    )
+
+
+def _model(
+    path: Path, found: FrameFiles, scale: float, options: ConvertOptions
+) -> tuple[CameraModel | None, list[str]]:
+    """Camera of the options, of a calibration file or of the benchmark, if any, and a sentence that names it."""
+    file = options.intrinsics or str(calibration_in(*calibrated_folders(path)) or "")
+    if options.intrinsics == "estimate":
+        model, sentence = estimated_model(found.pairs, scale)
+        return model, [sentence]
+    known = benchmark_camera(path)
+    height, width = next(_sizes(found.pairs), (0, 0)) if file or known else (0, 0)
+    if not height:
+        return None, []
+    if file:
+        centre = options.pixel_centre if options.intrinsics else 0.0
+        return read_intrinsics(file, (width, height), centre=centre), [f"intrinsics from {file}"]
+    if (LENSES[known].camera.width, LENSES[known].camera.height) != (width, height):
+        return None, []
+    return LENSES[known], [f"intrinsics of the TUM benchmark's {known}"]
+
+
+def _sizes(pairs: list[tuple[Path, Path]]) -> Iterator[tuple[int, ...]]:
+    """Height and width of each colour image that can be read."""
+    for colour, _ in pairs:
+        with contextlib.suppress(BadFrameError):
+            yield read_rgb(colour).shape[:2]
