@@ -12,6 +12,7 @@ from ..config.values import named, parse_options, parse_value
 from ..data.sequence import SequenceError
 from ..files import read_object
 from ..recordings.convert.formats import FORMATS, known_formats, readable_layout
+from ..recordings.convert.formats.unread import unread_recording
 from ..recordings.convert.recording import ConvertOptions, OptionNeeded
 from ..recordings.convert.run import ConvertReport, convert
 
@@ -70,7 +71,11 @@ def mappable(source: str) -> tuple[str, bool]:
         SequenceError, OptionNeeded: as ``convert_or_ask``.
     """
     path = Path(source).expanduser()
-    if readable_layout(path) or not any(f.recognise(path) for f in FORMATS.values() if path.exists()):
+    if readable_layout(path):
+        return source, False
+    if not any(f.recognise(path) for f in FORMATS.values() if path.exists()):
+        if told := unread_recording(path):
+            raise SequenceError(told)
         return source, False
     out = CONVERTED / path.resolve().name
     made = out / "conversion.json"

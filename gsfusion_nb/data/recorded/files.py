@@ -49,6 +49,9 @@ CALIBRATIONS = (
     "K.*",
     "intrinsic*",
     "calib*",
+    "*calib/*.yaml",
+    "SN*.conf",
+    "camera_matrix.csv",
     "camera.*",
     "camera[_-]*",
     "cam_params.json",
@@ -58,13 +61,21 @@ CALIBRATIONS = (
     "_info.txt",
 )
 """Files and folders with which a recording gives the camera of its images, most telling first."""
-CALIBRATION_SUFFIXES = (".txt", ".json", ".npy", ".yaml", ".yml", ".pincam")
+CALIBRATION_SUFFIXES = (".txt", ".json", ".npy", ".yaml", ".yml", ".pincam", ".conf", ".csv")
+_OF_POSES = re.compile(r"pose|traj|imu|odom", re.IGNORECASE)
+"""In the name of a file that holds no camera."""
 
 
 def calibration_in(*folders: Path) -> Path | None:
     """The first calibration file in some folders; None if there is none."""
-    found = (first_of(folder, CALIBRATIONS, CALIBRATION_SUFFIXES) for folder in folders)
-    return next(filter(None, found), None)
+    found = (
+        file
+        for folder in folders
+        for pattern in CALIBRATIONS
+        for file in sorted(folder.glob(pattern))
+        if file.suffix.lower() in CALIBRATION_SUFFIXES and not _OF_POSES.search(file.name)
+    )
+    return next(found, None)
 
 
 def first_of(folder: Path, patterns: Iterable[str], suffixes: Collection[str]) -> Path | None:

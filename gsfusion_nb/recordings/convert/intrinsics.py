@@ -45,16 +45,12 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
             colour, or a part of the lens that is not known.
     """
     path = Path(text_or_file)
-    if path.suffix.lower() == ".json":
-        return model_of_tree(read_object(path, f"the camera's intrinsics as {WAYS}"), size, str(path), centre=centre)
-    if path.suffix.lower() in (".yaml", ".yml"):
-        return model_of_tree(_yaml_tree(path), size, str(path), centre=centre)
     try:
         values = [float(w) for w in text_or_file.replace(",", " ").split()]
         source = f"intrinsics {shown(text_or_file)}"
     except ValueError:
-        tree = {} if path.suffix == ".npy" else _named_values(read_text(path, WAYS), path)
-        if tree:
+        tree = tree_of_file(path)
+        if tree or path.suffix.lower() in (".json", ".yaml", ".yml"):
             return model_of_tree(tree, size, str(path), centre=centre)
         values = _numbers_of(path)
         source = str(path)
@@ -68,6 +64,20 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
     if len(values) not in (4, 8, 9, 12, 16, 18):
         raise SequenceError(f"{source} must be {WAYS}, got {len(values)} numbers")
     return model_of(values[:4], size, source, centre=centre, distortion=tuple(values[4:]))
+
+
+def tree_of_file(path: Path) -> Tree:
+    """Names and values of a calibration file; empty for one that holds numbers without names.
+
+    Raises:
+        SequenceError: it cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        return read_object(path, f"the camera's intrinsics as {WAYS}")
+    if suffix in (".yaml", ".yml"):
+        return _yaml_tree(path)
+    return {} if suffix == ".npy" else _named_values(read_text(path, WAYS), path)
 
 
 def intrinsics_of_frame(frame: RecordedFrame, size: tuple[int, int], name: str, options: ConvertOptions) -> CameraModel:
@@ -140,8 +150,8 @@ def model_of_matrix(
 # ---- A camera in a tree of names and values --------------------------------------------------------------------------
 
 _PINHOLES = (("fx", "fy", "cx", "cy"), ("fx", "fy", "ppx", "ppy"), ("fl_x", "fl_y", "cx", "cy"))
-_MATRICES = ("K", "camera_matrix", "cameraMatrix", "m_calibrationColorIntrinsic")
-"""The last is BundleFusion's and ScanNet's."""
+_MATRICES = ("K", "camera_matrix", "cameraMatrix", "m_calibrationColorIntrinsic", "intrinsicMatrix")
+"""The last two are BundleFusion's and ScanNet's, and DepthAI's."""
 _OPEN3D = "intrinsic_matrix"
 """The matrix of Open3D, column by column."""
 _FOUR = "intrinsics"
@@ -155,6 +165,7 @@ _LISTS = (
     "distCoeffs",
     "dist_coeffs",
     "distortion",
+    "distortionCoeff",
     "coeffs",
     "D",
 )
@@ -198,7 +209,15 @@ def model_of_tree(tree: Tree, size: tuple[int, int] | None, source: str, *, cent
     Raises:
         SequenceError: no camera, several of which none is said to be colour, or a part of a lens that is not known.
     """
+    if "CalibrationInformation" in tree:
+        raise SequenceError(
+            f"{source} is the raw calibration of an Azure Kinect, which holds for its whole sensors, not for images; "
+            "Open3D's azure_kinect_mkv_reader writes intrinsic.json, which is read; or give 'fx fy cx cy'"
+        )
+    if "cameraData" in tree:
+        tree = _cameras_of_depthai(tree)
     found = dict(_cameras(tree, ""))
+    found = _left_of_zed(found, size) or found
     if len(found) > 1:
         colour = [name for name in found if _SAYS_COLOUR.search(name)]
         found = {name: found[name] for name in colour} if len(colour) == 1 else found
@@ -233,6 +252,22 @@ def _cameras(tree: Tree, path: str, outer: Tree = MappingProxyType({})) -> Itera
     for name, values in tree.items():
         if isinstance(values, Mapping):
             yield from _cameras(values, f"{path}.{name}" if path else str(name), single)
+
+
+def _cameras_of_depthai(tree: Tree) -> Tree:
+    """Cameras of OAK's calibration, a list of pairs of a socket and its camera; socket 0 is colour."""
+    with parsing("cameraData", "pairs of a socket and a camera"):
+        return {f"colour socket {n}" if n == 0 else f"socket {n}": camera for n, camera in tree["cameraData"]}
+
+
+_WIDTHS_OF_ZED = {"2K": 2208, "FHD": 1920, "HD": 1280, "VGA": 672}
+
+
+def _left_of_zed(found: Mapping[str, Tree], size: tuple[int, int] | None) -> dict[str, Tree]:
+    """Of the cameras of a ZED's calibration the left one for images of this width; empty for other files."""
+    name = next((n for n, width in _WIDTHS_OF_ZED.items() if size is not None and size[0] == width), "")
+    camera = found.get(f"LEFT_CAM_{name}")
+    return {} if camera is None else {f"LEFT_CAM_{name}": camera}
 
 
 def _single_values(tree: Tree) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from ...data.recorded.images import check_image_size, decode_depth, decode_rgb, 
 from ...data.sequence import BadFrameError, SequenceError
 from ...files import is_file, open_regular, parsing, refusing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
+from .confidence import DepthConfidence
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +117,8 @@ class ConvertOptions(Settings):
     every: int = within(1, 1)
     """Convert every n-th frame."""
     confidence: int = within(1, 0, 2)
-    """Record3D: smallest confidence at which a depth pixel is kept, 0 (all), 1 (medium) or 2 (high)."""
+    """Recordings of phones with a confidence of each depth pixel (Record3D, Polycam, StrayScanner, ARKitScenes): the
+    smallest at which it is kept, 0 (all), 1 (medium) or 2 (high)."""
     ros: RosOptions = RosOptions()
 
     def __post_init__(self):
@@ -207,11 +209,11 @@ class Recording:
             check_depth_scale(self.name, self.depth_scale)
 
 
-DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".exr")
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".pfm", ".npy", ".exr")
 
 
 def read_depth_file(path: Path, scale: float) -> np.ndarray:
-    """Depth in metres of a PNG, TIFF, PGM, NumPy or OpenEXR file, 0 = missing, float32. [H, W]
+    """Depth in metres of a PNG, TIFF, PGM, PFM, NumPy or OpenEXR file, 0 = missing, float32. [H, W]
 
     Args:
         path: One channel of 16-bit or float numbers.
@@ -224,16 +226,25 @@ def read_depth_file(path: Path, scale: float) -> np.ndarray:
     return metres(decode_depth(path, (np.uint16, np.float32, np.float64)), scale)
 
 
+_LARGEST_OF_16_BITS = 65535
+"""Means "missing" or "farther than can be stored" in 16 bits (7-Scenes, 2D-3D-S, Replica): no distance."""
+
+
 def metres(raw: np.ndarray, scale: float) -> np.ndarray:
-    """Stored depth as metres; NaN, infinities and negative values become 0 (missing), float32."""
+    """Stored depth as metres; NaN, infinities, negative values and 65535 in 16 bits become 0 (missing), float32."""
     depth_m = raw.astype(np.float32) * np.float32(1.0 / scale)
+    if raw.dtype == np.uint16:
+        depth_m[raw == _LARGEST_OF_16_BITS] = 0.0
     depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = 0.0
     return depth_m
 
 
-def load_pair(colour: Path, depth: Path, scale: float) -> RgbdImages:
+def load_pair(colour: Path, depth: Path, scale: float, confidence: DepthConfidence | None = None) -> RgbdImages:
     """Colour and depth of two files. Raises ``BadFrameError`` naming the one that cannot be used."""
-    return with_colour(read_image_bytes(colour, "colour"), str(colour), read_depth_file(depth, scale))
+    depth_m = read_depth_file(depth, scale)
+    if confidence is not None:
+        depth_m = confidence.without_doubtful(depth_m)
+    return with_colour(read_image_bytes(colour, "colour"), str(colour), depth_m)
 
 
 def with_colour(data: bytes, source: str, depth_m: np.ndarray) -> RgbdImages:

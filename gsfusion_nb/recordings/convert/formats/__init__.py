@@ -8,12 +8,40 @@ from ....data.readers.tum import benchmark_camera
 from ....data.recorded.files import calibration_in
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import read_object
-from . import colmap, icl_nuim, images, nerfstudio, open3d_log, record3d, ros_bag, scannet, tum
+from . import (
+    bop,
+    colmap,
+    icl_nuim,
+    images,
+    nerfstudio,
+    neural_rgbd,
+    open3d_log,
+    polycam,
+    record3d,
+    ros_bag,
+    scannet,
+    sun3d,
+    tartanair,
+    tum,
+)
+from .unread import unread_recording
 
 FORMATS = {
-    "ros": ros_bag, "scannet": scannet, "record3d": record3d, "nerfstudio": nerfstudio, "icl_nuim": icl_nuim,
-    "colmap": colmap, "open3d": open3d_log, "tum": tum, "images": images,
-}  # fmt: skip
+    "ros": ros_bag,
+    "scannet": scannet,
+    "record3d": record3d,
+    "nerfstudio": nerfstudio,
+    "polycam": polycam,
+    "icl_nuim": icl_nuim,
+    "colmap": colmap,
+    "sun3d": sun3d,
+    "tartanair": tartanair,
+    "neural_rgbd": neural_rgbd,
+    "bop": bop,
+    "open3d": open3d_log,
+    "tum": tum,
+    "images": images,
+}
 """Formats by name, in the order in which they are tried. The module of a format has ``recognise(path)``,
 ``read(path, options)``, and ``LOOKS_FOR``, which says what identifies it."""
 
@@ -49,6 +77,8 @@ def detect_format(path: Path) -> str:
     if not path.exists():
         raise SequenceNotFoundError(f"{path} does not exist; expected the file or folder of a recording")
     name = next((name for name, f in FORMATS.items() if f.recognise(path)), None)
+    if name in (None, "images") and (told := unread_recording(path)):
+        raise SequenceError(told)
     if name is None:
         described = "; ".join(f"{name}: {looks_for}" for name, looks_for in known_formats().items())
         raise SequenceError(f"{path} is in no known format; looked for {described}")

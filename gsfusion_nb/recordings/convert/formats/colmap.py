@@ -217,6 +217,12 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     others = ", ".join(f"{other} has {len(model[1])}" for other, model in models.items() if other != folder)
     images = sorted(images, key=lambda i: natural_order(Path(i.name)))
     colour = _beside(path, folder, ("images",), "colour images")
+    own_depth = next(path.glob("**/depth_maps/*.bin"), None)
+    if own_depth is not None and not options.depth:
+        raise SequenceError(
+            f"{own_depth} is a depth map of COLMAP's own, computed from the images and in the model's unit, not "
+            "measured; RGB-D mapping needs measured depth: give its folder with --depth"
+        )
     depth = Path(options.depth) if options.depth else _beside(path, folder, _DEPTH_PLACES, "depth images (--depth)")
     if not options.depth and (folder / _INVERSE_DEPTH).is_file():
         raise SequenceError(

@@ -12,22 +12,24 @@ from torch import Tensor
 from ....data.lens import CameraModel
 from ....data.readers.seven_scenes import calibrated_folders
 from ....data.readers.tum import LENSES, benchmark_camera
-from ....data.recorded.files import CALIBRATION_SUFFIXES, calibration_in, first_of, told_outside
+from ....data.recorded.files import calibration_in, first_of, told_outside
 from ....data.recorded.images import read_rgb
-from ....data.sequence import BadFrameError
+from ....data.sequence import BadFrameError, SequenceError
 from ....files import is_file
+from ..confidence import confidence_of
+from ..depth_camera import depth_camera_beside, poses_of_a_robot, told_unit
 from ..depth_unit import find_depth_unit, some_depths
 from ..focal_length import estimated_model
-from ..intrinsics import read_intrinsics
-from ..recording import ConvertOptions, RecordedFrame, Recording, check_exr, load_pair, read_depth_file
+from ..intrinsics import Tree, read_intrinsics, tree_of_file
+from ..recording import ConvertOptions, DepthUnit, RecordedFrame, Recording, check_exr, load_pair, read_depth_file
 from .pairing import FrameFiles
 
-_OF_DEPTH = ("intrinsic/intrinsic_depth.*", "intrinsic_depth.*", "depth_intrinsic*")
 _POSES = (
-    "groundtruth.*",
+    "groundtruth*",
     "poses.*",
     "pose.*",
     "*poses.*",
+    "odometry.csv",
     "traj*",
     "*.traj",
     "CameraTrajectory.txt",
@@ -53,22 +55,22 @@ def recording_of(
         T_WC: Pose of each frame, None where it is unknown; by default those of a file in the folder.
     """
     check_exr(found.pairs[0][1])
-    unit = None
-    if not options.depth_scale:
-        unit = find_depth_unit(path, some_depths([depth for _, depth in found.pairs]))
+    file = _calibration(path, options)
+    tree = tree_of_file(file) if file is not None else {}
+    unit, about_unit = _unit(path, found, tree, str(file), options)
     scale = options.depth_scale if unit is None else unit.scale
-    about_unit = () if unit is None or unit.is_guess else (unit.sentence,)
     of_folder, about = _model(path, found, scale, options)
     model = of_folder or model
-    of_depth = first_of(path, _OF_DEPTH, CALIBRATION_SUFFIXES)
-    depth_model = None
-    if of_depth:
-        height, width = read_depth_file(next((d for _, d in found.pairs if is_file(d)), found.pairs[0][1]), 1.0).shape
-        depth_model = read_intrinsics(str(of_depth), (width, height))
-        about.append(f"intrinsics of depth from {of_depth}")
+    depth_model, T_colour_depth, about_depth = depth_camera_beside(path, tree, str(file), _size_of_depth(found))
+    sure = confidence_of(found.pairs[0][1], options.confidence)
+    if sure is not None:
+        about_depth.append(f"depth of confidence {options.confidence} and above, by {sure.file.parent} (--confidence)")
     images = found.pairs[0][0].parent
     poses = str(first_of(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or "")  # folders have no suffix
     poses = poses or str(images) * any(images.glob("*pose.txt"))
+    if not options.poses and not T_WC and (told := poses_of_a_robot(Path(poses), tree)):
+        raise SequenceError(told)
+    outside = told_outside(path, itertools.chain(*found.pairs))
     unknown = [None] * len(found.pairs)
     frames = [*zip(found.pairs, found.times_s or unknown, found.depth_times_s or unknown, T_WC or unknown, strict=True)]
 
@@ -80,8 +82,9 @@ def recording_of(
                 depth_time_s=depth_time_s,
                 model=model,
                 depth_model=depth_model,
+                T_colour_depth=T_colour_depth,
                 T_WC=T,
-                load=partial(load_pair, colour, depth, scale),
+                load=partial(load_pair, colour, depth, scale, confidence_of(depth, options.confidence)),
             )
 
     return Recording(
@@ -93,8 +96,47 @@ def recording_of(
         has_poses=bool(poses or T_WC),
         poses_file="" if T_WC else poses,
         dropped=found.dropped,
-        notes=(*about, *found.notes, *about_unit, *filter(None, [told_outside(path, itertools.chain(*found.pairs))])),
+        notes=(
+            *about,
+            *about_depth,
+            *found.notes,
+            *about_unit,
+            *filter(None, [outside]),
+        ),
     )
+
+
+def _calibration(path: Path, options: ConvertOptions) -> Path | None:
+    """The file with the camera: that of the options, or one in the folder."""
+    if not options.intrinsics:
+        return calibration_in(*calibrated_folders(path))
+    given = Path(options.intrinsics)
+    return given if is_file(given) else None
+
+
+def _unit(
+    path: Path, found: FrameFiles, tree: Tree, source: str, options: ConvertOptions
+) -> tuple[DepthUnit | None, list[str]]:
+    """The unit of depth that the calibration tells, or a guess; None if the options say it. And notes."""
+    if options.depth_scale:
+        return None, []
+    stored = some_depths([depth for _, depth in found.pairs])
+    told, notes = told_unit(tree, source, stored)
+    unit = told or find_depth_unit(path, stored)
+    return unit, notes if unit.is_guess else [*notes, unit.sentence]
+
+
+def _size_of_depth(found: FrameFiles) -> tuple[int, int]:
+    """Width and height of the first depth image that is there."""
+    depth = next((depth for _, depth in found.pairs if is_file(depth)), found.pairs[0][1])
+    height, width = read_depth_file(depth, 1.0).shape
+    return width, height
+
+
+def size_of_colour(colour: Path) -> tuple[int, int]:
+    """Width and height of a colour image. Raises ``BadFrameError`` if it cannot be read."""
+    height, width = read_rgb(colour).shape[:2]
+    return width, height
 
 
 def _model(

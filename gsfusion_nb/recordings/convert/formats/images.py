@@ -11,10 +11,11 @@ from collections.abc import Set
 from pathlib import Path
 
 from ....data.recorded.files import images_in, natural_order
-from ....data.sequence import BadFrameError
+from ....data.sequence import BadFrameError, SequenceError
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, OptionNeeded, Recording, read_depth_file
 from .image_recording import recording_of
 from .pairing import Numbered, judged, paired
+from .unread import video_of_colour
 
 COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".webp")
 _SUFFIXES = {"colour": COLOUR_SUFFIXES, "depth": DEPTH_SUFFIXES}
@@ -79,6 +80,8 @@ def _numbered(path: Path, kind: str, fits: dict[str, list[Path]], given: str) ->
         (given, files), *_ = fits.items()
     else:
         names = tuple(sorted(fits))
+        if kind == "colour" and not fits and (told := video_of_colour(path)):
+            raise SequenceError(told)
         raise OptionNeeded(
             f"{path} holds {'no images' if not fits else ', '.join(names)} that may be {kind}; "
             f"give --{kind} with a folder{' or one of these' if fits else ''}",

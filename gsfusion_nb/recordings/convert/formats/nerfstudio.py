@@ -59,6 +59,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         )
     world, notes = _undo(values, file)
     scale = options.depth_scale or _depth_scale(values, file)
+    notes += _notes_on_unused(values, frames)
     keys = ("file_path", *_DEPTH_KEYS)
     outside = told_outside(file.parent, (file.parent / frame[key] for frame in frames for key in keys if key in frame))
 
@@ -86,6 +87,18 @@ def _file(path: Path) -> Path | None:
     if path.is_file():
         return path if path.suffix.lower() == ".json" and path.name.startswith("transforms") else None
     return path / "transforms.json" if (path / "transforms.json").is_file() else None
+
+
+_UNUSED = {
+    "mask_path": "masks are not used: what they hide is mapped too",
+    "fisheye_crop_radius": "fisheye_crop_radius is not used: pixels beyond it are mapped too",
+    "is_bad": "frames that are marked as bad (is_bad) are used",
+}
+"""Keys that say which pixels or frames to leave out -> what is said about them."""
+
+
+def _notes_on_unused(values: dict[str, Any], frames: list[dict[str, Any]]) -> list[str]:
+    return [note for key, note in _UNUSED.items() if any(entry.get(key) for entry in (values, *frames))]
 
 
 def _undo(values: dict[str, Any], file: Path) -> tuple[Float[Tensor, "4 4"], list[str]]:

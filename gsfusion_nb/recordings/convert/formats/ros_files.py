@@ -1,7 +1,9 @@
 """Opening ROS 1 and ROS 2 bags with the pure-Python package ``rosbags``, and their messages."""
 
+import contextlib
 import io
 import os
+import sqlite3
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -51,10 +53,14 @@ def _files_of(folder: Path, given: Path) -> list[Path]:
     """
     listed = folder / METADATA
     what = f"the {METADATA} of a ROS 2 bag"
+    if not listed.exists() and _is_of_realsense(given):
+        raise SequenceError(
+            f"{given} is a recording of the RealSense SDK of 2026 or later, which is not read; rs-convert -i "
+            f"{given.name} -p images/ writes its images, which are read, as are the .bag files of older SDKs"
+        )
     if not listed.exists():
         raise SequenceNotFoundError(
-            f"{listed} does not exist; a ROS 2 bag in sqlite needs it, and 'ros2 bag reindex' makes one; a .db3 file "
-            "of the RealSense SDK is no such bag: record a .bag file there"
+            f"{listed} does not exist; a ROS 2 bag in sqlite needs it, and 'ros2 bag reindex' makes one"
         )
     with parsing(listed, what):
         content = yaml.safe_load(read_text(listed, what))
@@ -62,6 +68,15 @@ def _files_of(folder: Path, given: Path) -> list[Path]:
     if given.is_file() and given.name not in names:
         raise SequenceError(f"{listed} does not name {given.name}; it is of the bag {', '.join(names)}")
     return [listed, *(folder / name for name in names)]
+
+
+def _is_of_realsense(file: Path) -> bool:
+    """Whether a database holds the topics of the RealSense SDK, which writes no ``metadata.yaml``."""
+    address = f"{file.resolve().as_uri()}?mode=ro"
+    names: list[str] = []
+    with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(address, uri=True)) as database:
+        names = [str(name) for (name,) in database.execute("SELECT name FROM topics LIMIT 1000")]
+    return any(name.startswith("/device_") for name in names)
 
 
 def message_of(reader: Any, connection: Any, raw: Any) -> tuple[Any, float]:

@@ -161,11 +161,43 @@ def test_what_is_missing_is_asked_for_one_by_one(tmp_path, takes):
     assert (report.camera.fx, report.camera.cx, report.has_poses) == (41.6, 30, False)
 
 
-def test_another_number_of_poses_than_of_frames(tmp_path, takes):
+def test_fewer_poses_than_frames_belong_to_nobody(tmp_path, takes):
     root = write(tmp_path / "scan", takes)
     pos_npy(root, takes.T_WC.numpy()[:3])
-    with pytest.raises(SequenceError, match=r"pos\.npy holds 3 poses; expected 4, one per frame.*--poses none"):
+    with pytest.raises(
+        SequenceError, match=r"pos\.npy holds 3 poses; expected 4, one per frame.*--stop 3;.*--poses none"
+    ):
         convert(root, tmp_path / "out", options=ConvertOptions(intrinsics="40"))
+    pos_npy(root, takes.T_WC.numpy()[::2])
+    with pytest.raises(SequenceError, match=r"holds 2 poses.*--stop 2; of every 2th frame: --every 2"):
+        convert(root, tmp_path / "out", options=ConvertOptions(intrinsics="40"))
+
+
+@pytest.mark.parametrize(("chosen", "frames"), [({"stop": 2}, (0, 1)), ({"every": 2}, (0, 2)), ({"start": 2}, (2, 3))])
+def test_as_many_poses_as_frames_are_converted(tmp_path, takes, chosen, frames):
+    """200 poses of 1000 images: only the user can know whose they are."""
+    root = write(tmp_path / "scan", takes)
+    pos_npy(root, takes.T_WC.numpy()[list(frames)])
+    np.savetxt(root / "K.txt", K(takes))
+    report = convert(root, tmp_path / "out", options=ConvertOptions(**chosen))
+    takes.check(tmp_path / "out", frames, rgb=3)
+    assert any("2 poses, as many as frames are converted" in note for note in report.notes)
+
+
+@pytest.mark.parametrize(("first", "n_poses", "row"), [(5, 20, 5), (17, 20, 16)])
+def test_numbers_of_images_choose_among_more_poses(tmp_path, takes, first, n_poses, row):
+    """Images 5 to 8 of 20 poses count from 0, 17 to 20 from 1."""
+    root = tmp_path / "scan"
+    for i in range(len(takes)):
+        takes.write(root / f"rgb/{first + i:06d}.png", takes.png(i))
+        takes.write(root / f"depth/{first + i:06d}.png", takes.depth_png(i))
+    T = np.tile(np.eye(4), (n_poses, 1, 1))
+    T[row : row + 4] = takes.T_WC.numpy()
+    pos_npy(root, T)
+    np.savetxt(root / "K.txt", K(takes))
+    report = convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out")
+    assert any(f"image {first} that of row {row}, counted from 0" in note for note in report.notes)
 
 
 def test_eight_bits_have_lost_their_precision(tmp_path, takes):
