@@ -81,9 +81,13 @@ def _file(test: str) -> str:
 
 
 def copy_of(root: Path, folder: Path) -> Path:
-    """A copy of what git knows of a checkout, with the times of its files."""
+    """A copy of what git knows of a checkout, and of its compiled kernels, with the times of their files.
+
+    A mutant whose tests had to compile the kernels first would run out of its time, and count as killed.
+    """
     names = subprocess.check_output(["git", "-C", str(root), "ls-files", "-z"], text=True).split("\0")
-    for name in filter(None, names):
+    compiled = [path.relative_to(root).as_posix() for path in (root / "kernels").rglob("*.nb[ic]")]
+    for name in filter(None, [*names, *compiled]):
         if (root / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(root / name, folder / name)

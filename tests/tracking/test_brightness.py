@@ -41,7 +41,10 @@ def test_the_best_exposure_is_put_in(generator):
     m = torch.randn(40, 7, generator=generator).double()
     J, r, w = m[:, :6], m[:, 6], torch.rand(40, generator=generator).double()
     rows = torch.cat([m, torch.ones(40, 1).double()], dim=1)
-    H, b = BrightnessSystem(gram=rows.T @ (w[:, None] * rows), n=40).normal_equations()
+    system = BrightnessSystem(gram=rows.T @ (w[:, None] * rows), n=40)
+    assert system.offset == pytest.approx(float((w * r).sum() / w.sum()))
+    assert system.rms == pytest.approx(float(((w * (r - system.offset) ** 2).sum() / w.sum()).sqrt()))
+    H, b = system.normal_equations()
     with_exposure = torch.cat([J, -torch.ones(40, 1).double()], dim=1)
     root = w.sqrt()[:, None]
     expected = torch.linalg.lstsq(root * with_exposure, -root * r[:, None]).solution[:6, 0]

@@ -1,5 +1,8 @@
 """Tracks of features: found again by projection, merged over loops, thinned out for the graph."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 import torch
 
@@ -10,7 +13,7 @@ from gsfusion_nb.tracking.features import Features, extract_features
 from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
 from gsfusion_nb.tracking.landmark_map import LandmarkMap
 from gsfusion_nb.tracking.landmark_pose import landmark_sums
-from gsfusion_nb.tracking.landmarks import Landmarks
+from gsfusion_nb.tracking.landmarks import CULL_VIEWS, NO_LANDMARK, Landmarks
 from gsfusion_nb.tracking.matching import hamming
 from gsfusion_nb.types import Camera
 
@@ -235,6 +238,35 @@ def test_landmarks_move_with_the_keyframe_they_were_born_in(points):
     landmarks.database.move(torch.stack([moved(0.0), moved(0.1), moved(1.2)]))
     after = landmarks.positions(torch.tensor([3, 50]))
     torch.testing.assert_close(after - before, torch.tensor([[0.0, 0, 0], [1, 0, 0]], dtype=torch.float64))
+
+
+def test_what_is_looked_for_in_vain_is_no_longer_looked_for(points):
+    landmarks = three_views(points)
+    everything, never, rarely = np.arange(80), 3, 7
+    for k in range(CULL_VIEWS):
+        assert landmarks.is_good(everything).all()
+        landmarks.count_views(np.array([never, rarely, 50]), np.array([rarely, 50] if k == 0 else [50]))
+    assert np.flatnonzero(~landmarks.is_good(everything)).tolist() == [never]
+    for _ in range(CULL_VIEWS):  # found once in 30 times: less than 5 %
+        landmarks.count_views(np.array([rarely]), np.array([], int))
+    assert np.flatnonzero(~landmarks.is_good(everything)).tolist() == [never, rarely]
+
+
+def test_neighbours_are_the_keyframes_that_share_most():
+    """Of nine, seven; the one that shares 14 is none."""
+    shared = [15, 20, 14, 40, 30, 15, 16, 17, 18]
+    of_feature = [np.where(np.arange(40) < n, np.arange(40), NO_LANDMARK) for n in shared]
+    last = np.append(np.arange(40), NO_LANDMARK)
+    known = SimpleNamespace(landmarks=Counted(of_feature=[*of_feature, last]))
+    assert LandmarkMap._covisible(known, 9, 9) == [3, 4, 1, 8, 7, 6, 0]  # type: ignore[arg-type]
+    assert LandmarkMap._covisible(known, 9, 3) == [1, 0]  # type: ignore[arg-type]
+
+
+class Counted(SimpleNamespace):
+    """40 landmarks."""
+
+    def __len__(self):
+        return 40
 
 
 def test_bits_are_counted(points):

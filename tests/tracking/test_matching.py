@@ -1,12 +1,19 @@
 """Matching and relative poses from exact and from noisy geometry."""
 
+import numpy as np
 import pytest
 import torch
 
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.features import Features
 from gsfusion_nb.tracking.landmark_pose import LandmarkRows
-from gsfusion_nb.tracking.matching import match_features, refine_pose, relative_pose
+from gsfusion_nb.tracking.matching import (
+    MAX_HAMMING,
+    _clear_and_mutual,
+    match_features,
+    refine_pose,
+    relative_pose,
+)
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=160.0, cy=121.0)
@@ -106,6 +113,16 @@ def test_match_by_hand():
     query = features(torch.stack([zero, half, mixed]))
     reference = features(torch.stack([one, near_zero, half, half]))
     assert match_features(query, reference).tolist() == [[0, 1]]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_clear_and_mutual_by_hand(first):
+    """Of the candidates of a, the nearest, unless another is nearly as near, or it is nearer to another of a."""
+    a = np.array([0, 0, 1, 2, 2, 3, 4]) + first
+    b = np.array([0, 1, 2, 3, 4, 3, 5])
+    distance = np.array([10, 40, 20, 30, 31, 5, MAX_HAMMING + 1])
+    found = _clear_and_mutual(a, b, distance)
+    assert sorted(found.tolist()) == [0, 2, 5]
 
 
 @pytest.mark.parametrize(("n", "m"), [(0, 5), (5, 0), (1, 1), (1, 5)])

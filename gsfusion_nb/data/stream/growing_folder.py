@@ -90,6 +90,12 @@ class GrowingFolder(LiveSource):
         while not self._stopping.is_set():
             if self._waiting and self._values:
                 head = self._waiting[0]
+                if self._last is not None and natural_order(head) < self._last:
+                    self._done.add(head.stem)
+                    self._waiting.pop(0)
+                    raise BadFrameError(
+                        f"{head} came after later frames were taken; expected files in order of their names"
+                    )
                 lacks = self._lacks_image(head)
                 if not lacks and (line := self._line(head)) is not None:
                     return self._take(head, line)
@@ -128,10 +134,6 @@ class GrowingFolder(LiveSource):
         before = self._waiting
         self._waiting = sorted((p for p in self._files("rgb") if p.stem not in self._done), key=natural_order)
         self._depth = {p.stem: p for p in self._files("depth") if p.stem not in self._done}
-        if self._waiting and self._last is not None and natural_order(self._waiting[0]) < self._last:
-            late = self._waiting[0]
-            self._done.add(late.stem)
-            raise BadFrameError(f"{late} came after later frames were taken; expected files in order of their names")
         return (self.has_poses and self._read_poses(final)) or self._waiting != before
 
     def _files(self, kind: str) -> list[Path]:

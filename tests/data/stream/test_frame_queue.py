@@ -14,6 +14,11 @@ from gsfusion_nb.data.stream import BackgroundFrames, LiveSource, SelectedFrames
 from gsfusion_nb.types import Frame
 
 
+def test_a_source_that_says_nothing_has_no_poses():
+    """So that its poses, the identity, are never taken for measured ones."""
+    assert not LiveSource.has_poses
+
+
 def test_latest_holds_only_the_newest(sequence):
     given = threading.Event()
 

@@ -190,6 +190,19 @@ def test_the_stop_file_ends_it_after_the_frames_that_are_there(writer):
     assert writer.waits == 1
 
 
+def test_what_comes_after_later_frames_is_left_out_and_named(writer):
+    """The images of frames 1 and 2 arrive together with those of frame 4, when frame 3 was taken."""
+    parts = {i: (writer.rgb(i), writer.depth(i)) for i in range(5)}
+    writer.then(writer.camera(), *parts[0], *parts[3]).then(*parts[1], *parts[2], *parts[4]).then(writer.stop)
+    whole = folder(writer.source)
+    found = everything(follow(writer, poses=False))
+    assert ["000001" in found[2], "000002" in found[3]] == [True, True]
+    assert all("came after later frames were taken" in text for text in found[2:4])
+    for frame, i in ((found[0], 0), (found[1], 3), (found[4], 4)):
+        torch.testing.assert_close(frame.depth_m, whole[i].depth_m)
+    assert len(found) == 5
+
+
 def test_without_poses_the_camera_is_to_be_tracked(writer):
     writer.then(writer.camera(), writer.rgb(0), writer.depth(0), writer.stop)
     source = follow(writer, poses=False)
