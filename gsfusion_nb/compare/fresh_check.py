@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..files import cache_folder
-from ..seeding import check_rule, code_key
+from ..seeding import CodeKey, check_rule, code_key
 from ..seeding.code_values import is_library_namespace
 from ..seeding.installed import is_installed
 from ..seeding.patches import changes_since, library_state, switches
@@ -43,13 +43,14 @@ _ALONE = "in a process of its own, which can read only the files that the option
 
 
 def main(job_file: str) -> int:
-    """Do the job in a file, and write what was found to the file beside it (.json): "refused", why, or empty; and
-    "code", the parts of the rule's key."""
-    found: dict[str, Any] = {"refused": "", "code": {}}
+    """Do the job in a file, and write what was found to the file beside it (.json): "refused", why, or empty; "code",
+    the parts of the rule's key; "walks_sets", whether its code has sets; and "seeds", a hash of what it gave."""
+    found: dict[str, Any] = {"refused": "", "code": {}, "walks_sets": False, "seeds": ""}
     path = Path(job_file)
     try:
         job: CheckJob = pickle.loads(path.read_bytes())
-        found["code"] = _checked(job)
+        key, found["seeds"] = _checked(job)
+        found |= {"code": dict(key.parts), "walks_sets": key.walks_sets}
     except Exception as e:  # a rule may raise anything
         is_sentence = isinstance(e, (AssertionError, ValueError)) and str(e)
         found["refused"] = str(e) if is_sentence else f"{_ALONE}{type(e).__name__}: {e}"
@@ -57,8 +58,8 @@ def main(job_file: str) -> int:
     return 0
 
 
-def _checked(job: CheckJob) -> dict[str, str]:
-    """Check a rule. Returns the parts of its key.
+def _checked(job: CheckJob) -> tuple[CodeKey, str]:
+    """Check a rule. Returns its key, and a hash of what it gave.
 
     Raises:
         Exception: what the rule or ``check_rule`` raises; ValueError for what only a fresh process shows.
@@ -73,7 +74,7 @@ def _checked(job: CheckJob) -> dict[str, str]:
     paths = [*option_paths(rule, job.options).values(), *key.files]
     confine([*SYSTEM_FOLDERS, *filter(is_installed, sys.path), cache_folder(), *paths])
     with _clock_is_watched(job.name), only_declared(job.name, paths):
-        check_rule(rule, options=job.options, extra=extra)
+        given = check_rule(rule, options=job.options, extra=extra).digest
     if changes := changes_since(libraries, all_of_package=True):
         raise ValueError(
             f"the seeding rule {job.name!r} changes {', '.join(changes[:3])} for everybody; a rule may not change "
@@ -82,7 +83,7 @@ def _checked(job: CheckJob) -> dict[str, str]:
     after = switches()
     if switched := [name for name in before if before[name] != after[name]]:
         raise ValueError(f"the seeding rule {job.name!r} changes a setting of the whole process: {', '.join(switched)}")
-    return dict(key.parts)
+    return key, given
 
 
 def _loaded(job: CheckJob) -> Any:
@@ -91,12 +92,24 @@ def _loaded(job: CheckJob) -> Any:
     return rule_of_source(job.source, job.name, job.file, Path(job.folder) if job.folder else None)
 
 
+_SYSTEM = ("posix", "nt")
+_OF_PROCESS = {
+    *((m, name) for m in _SYSTEM for name in ("getpid", "getppid", "getcwd", "getcwdb", "getlogin", "uname", "times")),
+    *((m, name) for m in _SYSTEM for name in ("urandom", "getloadavg")),
+    *(("_socket", "gethostname"), ("socket", "gethostname"), ("_thread", "get_ident"), ("_thread", "get_native_id")),
+    *(("builtins", "id"), ("resource", "getrusage")),
+}
+"""Module and name of functions whose answer another process, or another machine, does not get."""
+
+
 class _clock_is_watched:
-    """Context that raises ``ValueError`` at its end if somebody's own code in it has asked for the time."""
+    """Context that raises ``ValueError`` at its end if somebody's own code in it has asked for the time, or for what
+    else differs from process to process."""
 
     def __init__(self, rule: str):
         self._rule = rule
         self._asked = ""
+        self._what = "the time"
 
     def __enter__(self) -> None:
         sys.setprofile(self._note)
@@ -105,7 +118,7 @@ class _clock_is_watched:
         sys.setprofile(None)
         if self._asked and (error is None or isinstance(error, Exception)):
             raise ValueError(
-                f"the seeding rule {self._rule!r} asks for the time ({self._asked}); its seeds may depend on the "
+                f"the seeding rule {self._rule!r} asks for {self._what} ({self._asked}); its seeds may depend on the "
                 "context only"
             )
 
@@ -118,7 +131,9 @@ class _clock_is_watched:
         is_clock = (module == "time" and name not in ("sleep", "strftime", "gmtime")) or (
             module in ("datetime", "date") and name in ("now", "utcnow", "today")
         )
-        if is_clock and not is_library_namespace(frame.f_globals):
+        is_of_process = (module, name) in _OF_PROCESS
+        if (is_clock or is_of_process) and not is_library_namespace(frame.f_globals):
+            self._what = "the time" if is_clock else "what differs from process to process"
             self._asked = f"{module}.{name}"
 
 

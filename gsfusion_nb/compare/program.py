@@ -13,7 +13,7 @@ from typing import Any
 from .. import __version__
 from ..mapping import get_system
 from ..seeding import SeedingRule, code_key, installed, is_built_in, rule_files
-from ..seeding.patches import changes_since, library_state, patches, switches
+from ..seeding.patches import changed_values, library_state, patches, switches
 
 _CODE = {".py", ".toml", ".cu", ".cuh"}
 _LIBRARIES = {
@@ -49,7 +49,7 @@ def _state_of_process() -> dict[str, Any]:
             continue
         if " edited " in state:
             edited[name] = state
-    return {"edited": edited, "patches": patches(), "swapped": changes_since(_at_start), "switches": switches()}
+    return {"edited": edited, "patches": patches(), "swapped": changed_values(_at_start), "switches": switches()}
 
 
 def look_at_program_again() -> None:

@@ -15,6 +15,7 @@ from ..checks import check_finite, check_shape, shown
 from ..geometry.operands import MAX_DISTANCE_M
 from ..types import Seeds
 from .context import SeedContext
+from .read_only import read_only
 from .rule import Option, SeedingRule, get_rule, is_map_rule, option_values, rule_name
 from .rule_code import is_built_in
 
@@ -230,12 +231,13 @@ def unchanged_inputs(ctx: SeedContext, rule: SeedingRule, *, is_quick: bool = Fa
     """Context in which a rule may change its memory, but nothing else of what it was given.
 
     The rules of this package are not watched. A change of the frame is undone. Of the Gaussians and the frame every
-    change is seen, of the rest those that torch makes.
+    change is seen, of the rest those that torch makes; NumPy's arrays of the rest cannot be written to.
 
     Args:
         ctx: What the rule sees.
         rule: The rule.
-        is_quick: Only changes that torch makes are looked for, everywhere; for calls after each gradient step.
+        is_quick: Only changes that torch makes are looked for, everywhere, and no array can be written to; for calls
+            after each gradient step.
 
     Raises:
         ChangedInputError: at the end of the context, if the rule changed one of them in place.
@@ -248,9 +250,15 @@ def unchanged_inputs(ctx: SeedContext, rule: SeedingRule, *, is_quick: bool = Fa
     versions = [_version(tensor) for _, tensor in watched]
     copies = {name: tensor.clone() for name, tensor in watched if name.startswith("frame.") and not is_quick}
     sums = {name: _sum_of_bits(tensor) for name, tensor in watched if name.startswith("map.") and not is_quick}
+    places = [_place(tensor) for _, tensor in watched]
     changed = ""
     try:
-        yield
+        with read_only((name, x) for name, x in watched if name not in copies and name not in sums) as made:
+            yield
+    except Exception as e:
+        if made and ("read-only" in str(e) or "readonly" in str(e)):  # NumPy's word, and OpenCV's
+            raise ChangedInputError(rule_name(rule), made[-1]) from e
+        raise
     finally:
         for (name, tensor), version in zip(watched, versions, strict=True):
             is_same = _version(tensor) == version
@@ -261,6 +269,11 @@ def unchanged_inputs(ctx: SeedContext, rule: SeedingRule, *, is_quick: bool = Fa
                 is_same = False
             if not is_same:
                 changed = changed or name
+        after = dict(context_tensors(ctx))
+        for (name, _), place in zip(watched, places, strict=True):
+            if name not in after or _place(after[name]) != place:
+                changed = changed or name
+        changed = changed or next((name for name in after if name not in dict(watched)), "")
     if changed:
         raise ChangedInputError(rule_name(rule), changed)
 
@@ -268,6 +281,11 @@ def unchanged_inputs(ctx: SeedContext, rule: SeedingRule, *, is_quick: bool = Fa
 def _version(tensor: Tensor) -> int:
     """Number of changes in place that torch made to a tensor, or to what it is a view of."""
     return 0 if tensor.is_inference() else tensor._version
+
+
+def _place(tensor: Tensor) -> tuple[int, torch.Size, torch.dtype]:
+    """Where a tensor is in memory. Another one in its place is another tensor."""
+    return tensor.data_ptr(), tensor.shape, tensor.dtype
 
 
 def _same_bits(a: Tensor, b: Tensor) -> bool:
@@ -306,6 +324,7 @@ def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
             if isinstance(value := getattr(keyframe, name, None), Tensor):
                 yield f"keyframes[{i}].{name}", value
     yield from (("past_T_WC", T_WC) for T_WC in context.past_T_WC[-1:])  # a mapper's poses share one counter
+    volume = getattr(context.volume, "_volume", context.volume)
     for name in ("D", "W", "rgb"):
-        if isinstance(values := getattr(context.volume, name, None), Tensor):
+        if isinstance(values := getattr(volume, name, None), Tensor):
             yield f"volume.{name}", values

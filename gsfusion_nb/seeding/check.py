@@ -22,6 +22,7 @@ from ..tsdf import TsdfVolume, integrate
 from ..types import Camera, Frame, Seeds
 from .apply import ChangedInputError, apply_rule, check_memory, context_tensors, copy_memory, equal_memories
 from .code_key import code_key, loaded_values
+from .code_values import ValueHash
 from .context import SeedContext
 from .points import add_up
 from .rule import (
@@ -100,7 +101,8 @@ class Walk:
     n_frames = 3
 
     def __init__(self):
-        self._volume, self._gaussians = TsdfVolume(_TSDF), GaussianModel(sh_degree=1)
+        self._volume = TsdfVolume(_TSDF)
+        self.gaussians = GaussianModel(sh_degree=1)
         self._frames: list[Frame] = []
 
     def context(self, number: int, memory: dict[str, Any]) -> SeedContext:
@@ -111,19 +113,19 @@ class Walk:
         past = tuple(f.T_WC for f in self._frames[:-1])
         config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
         return SeedContext(
-            frame, self._volume, self._gaussians, config=config, memory=memory, past_T_WC=past, starts_submap=not number
+            frame, self._volume, self.gaussians, config=config, memory=memory, past_T_WC=past, starts_submap=not number
         )
 
     def grow(self, seeds: Seeds) -> None:
         """Add seeds to the map."""
-        before = len(self._gaussians)
-        self._gaussians.append(seeds, self._frames[-1].index)
-        params, n, g = self._gaussians.params, len(self._gaussians) - before, torch.Generator().manual_seed(before)
+        before = len(self.gaussians)
+        self.gaussians.append(seeds, self._frames[-1].index)
+        params, n, g = self.gaussians.params, len(self.gaussians) - before, torch.Generator().manual_seed(before)
         for column, size in ((params.log_scale, 0.3), (params.quat, 0.2), (params.opacity_logit, 1.0)):
             column[before:] += size * torch.randn(n, *column.shape[1:], generator=g)
         params.log_scale[before::5] += 2.5  # some large ones, and some nearly transparent ones, of which some are both
         params.opacity_logit[before::3] = -6.0
-        self._gaussians.clock.advance(self._gaussians.step_count + 5)
+        self.gaussians.clock.advance(self.gaussians.step_count + 5)
 
 
 def _scene_frame(width: int, height: int, shift_m: float = 0.0) -> Frame:
@@ -169,6 +171,8 @@ class RuleCheck:
     """The properties that were tested."""
     seeds: dict[str, int]
     """Scene -> number of seeds the rule gave there."""
+    digest: str = ""
+    """A hash of all seeds, and of the map and the memory at the end of the walk: equal in every process."""
 
     def __repr__(self) -> str:
         lines = [f"seeding rule {self.rule!r} keeps the contract"]
@@ -210,7 +214,7 @@ def check_rule(
     scenes = check_contexts() if contexts is None else contexts
     try:
         with only_declared(name, [*option_paths(function, tested.options).values(), *code_key(function).files]):
-            counts = _counts(tested, scenes, extra, with_walk=contexts is None)
+            counts, digest = _counts(tested, scenes, extra, with_walk=contexts is None)
     except UndeclaredError as e:
         raise AssertionError(str(e)) from None
     edits = contexts is None and is_map_rule(function) and function.after_step is not MapRule.after_step
@@ -224,7 +228,7 @@ def check_rule(
         f"every option is accepted: {', '.join(rule_options(function)) or '(it has none)'}",
         *(["after_step: possible edits, the same twice, no change of its inputs"] if edits else []),
     )
-    return RuleCheck(name, passed, counts)
+    return RuleCheck(name, passed, counts, digest)
 
 
 @dataclass(frozen=True)
@@ -250,9 +254,10 @@ def _counts(
     extra: Callable[[Frame], Mapping[str, Any]] | None,
     *,
     with_walk: bool,
-) -> dict[str, int]:
-    """Check a rule in each scene. Returns the number of its seeds there."""
+) -> tuple[dict[str, int], str]:
+    """Check a rule in each scene. Returns the number of its seeds there, and a hash of all that it gave."""
     counts = {}
+    all_given = ValueHash(strict=False)
     name, kept = rule_name(tested.rule), loaded_values(tested.rule)
     for scene, given in scenes.items():
         ctx = _with_extra(given, extra)
@@ -264,9 +269,10 @@ def _counts(
         _check_every_option(tested, ctx, first, where)
         _check_nothing_kept(tested.rule, kept, where)
         counts[scene] = len(first)
+        all_given.add(vars(first))
     if with_walk:
-        counts["walk"] = _check_walk(tested, kept, extra, f"seeding rule {name!r}, scene 'walk'")
-    return counts
+        counts["walk"] = _check_walk(tested, kept, extra, f"seeding rule {name!r}, scene 'walk'", all_given)
+    return counts, all_given.hexdigest()
 
 
 def _with_extra(ctx: SeedContext, extra: Callable[[Frame], Mapping[str, Any]] | None) -> SeedContext:
@@ -302,8 +308,9 @@ def _unchanged(ctx: SeedContext, where: str) -> Iterator[None]:
             raise AssertionError(f"{where}: it changed {name} in place; work on a copy (x.clone())")
 
 
-def _check_walk(tested: "_Tested", kept: str, extra: Any, where: str) -> int:
-    """Several frames in which a map grows from the rule's own seeds. Returns the number of seeds."""
+def _check_walk(tested: "_Tested", kept: str, extra: Any, where: str, all_given: ValueHash) -> int:
+    """Several frames in which a map grows from the rule's own seeds; the map and the memory at the end are added to
+    ``all_given``. Returns the number of seeds."""
     total, memory, rule = 0, {}, tested.rule
     walk = Walk()
     for number in range(walk.n_frames):
@@ -320,6 +327,7 @@ def _check_walk(tested: "_Tested", kept: str, extra: Any, where: str) -> int:
                 ctx = dataclasses.replace(ctx, memory=after)
             _check_nothing_kept(rule, kept, here)
         total, memory = total + len(first), after
+    all_given.add((vars(walk.gaussians.params), memory))
     return total
 
 

@@ -15,7 +15,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .code_values import BESIDE, LOADED_SOURCE, RULE_SOURCE, UnhashableError, ValueHash, is_library_module
+from .code_values import (
+    BESIDE,
+    LOADED_SOURCE,
+    NOT_OF_A_PROGRAM,
+    RULE_SOURCE,
+    UnhashableError,
+    ValueHash,
+    is_library_module,
+)  # fmt: skip
 from .installed import distribution_of, is_installed, state_of, with_requirements
 
 _PACKAGE = __name__.partition(".")[0]
@@ -37,6 +45,8 @@ class CodeKey:
     """The files of own modules."""
     caches: tuple[Any, ...] = field(default=(), repr=False, compare=False)
     """Functions with ``functools.cache`` that the code can reach."""
+    walks_sets: bool = field(default=False, repr=False, compare=False)
+    """The code has a set, or makes one, whose order may differ from process to process."""
 
     @functools.cached_property
     def digest(self) -> str:
@@ -64,10 +74,16 @@ def code_key(code: Any) -> CodeKey:
     parts |= files.parts
     for name, module in sorted(files.whole.items()):
         loose = ValueHash(strict=False)
-        loose.add({k: v for k, v in sorted(vars(module).items()) if not k.startswith("__")})
+        loose.add({k: v for k, v in sorted(vars(module).items()) if k not in NOT_OF_A_PROGRAM})
         parts[f"names in {name}"] = loose.hexdigest()
     parts |= _packages(values.libraries | files.libraries)
-    return CodeKey(parts=parts, reason=reason or files.reason, files=tuple(files.files), caches=tuple(values.caches))
+    return CodeKey(
+        parts=parts,
+        reason=reason or files.reason,
+        files=tuple(files.files),
+        caches=tuple(values.caches),
+        walks_sets=values.walks_sets,
+    )
 
 
 def loaded_values(code: Any) -> str:

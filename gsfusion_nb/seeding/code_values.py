@@ -4,22 +4,22 @@ What a value consists of is what the pickle protocol says, with the additions of
 left out. What cannot be pickled cannot be hashed.
 """
 
-import contextlib
-import dis
 import functools
 import hashlib
 import importlib.util
 import io
+import pickle
 import re
 import sys
 import types
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import cloudpickle
 import numpy as np
 import torch
 
+from .code_names import globals_of, imported_inside, looks_up, names_of, walks_sets, words_of
 from .installed import is_installed
 
 LOADED_SOURCE = "__loaded_source__"
@@ -34,14 +34,20 @@ CHECKS_TYPES = "jaxtyping"
 _ATOMS = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis), type(NotImplemented))
 _DESCRIPTORS = (
     types.MemberDescriptorType, types.GetSetDescriptorType, types.WrapperDescriptorType, types.MethodDescriptorType,
-    types.ClassMethodDescriptorType, types.MethodWrapperType,
+    types.ClassMethodDescriptorType,
 )  # fmt: skip
 _NOT_OF_A_CLASS = {
     "__dict__", "__weakref__", "__doc__", "__module__", "__annotations__", "__firstlineno__", "__static_attributes__",
     "_abc_impl",
 }  # fmt: skip
-_BY_NAME = {"globals", "eval", "exec", "vars", "locals"}
-"""Builtins that look names up while a program runs."""
+NOT_OF_A_PROGRAM = {
+    "__name__", "__file__", "__doc__", "__builtins__", "__spec__", "__loader__", "__package__", "__cached__",
+    "__path__", "__annotations__", "__import__", "__build_class__", "__debug__", "__rules__", "__undeclared__",
+    "__imported_files__", "display", "get_ipython", LOADED_SOURCE, RULE_SOURCE, BESIDE,
+}  # fmt: skip
+"""Names that Python, or what loads a module or runs a notebook, sets by itself."""
+_HOLD_VALUES = (list, tuple, dict, set, frozenset, np.ndarray, torch.Tensor)
+"""Kinds of what somebody may put into a library to look it up there."""
 
 
 class UnhashableError(ValueError):
@@ -144,16 +150,29 @@ class ValueHash:
         """Names of the modules of libraries that were met."""
         self.caches: list[Any] = []
         """Functions with ``functools.cache`` or ``lru_cache``, such as one that reads a network."""
+        self.walks_sets = False
+        """A set was met, or own code that makes one."""
         self._strict = strict
         self._hash = hashlib.blake2b(digest_size=16)
         self._seen: dict[int, tuple[int, Any]] = {}
         self._place: list[str] = []
         self._reducers = cloudpickle.Pickler(io.BytesIO()).dispatch_table
         self._names_at: dict[int, set[str]] = {}
+        self._words: set[str] = set()
+        """All names in own code, and all texts that could be one."""
 
     def hexdigest(self) -> str:
         """The hash of all values so far."""
+        self._settle()
         return self._hash.hexdigest()
+
+    def _settle(self) -> None:
+        """Add what own code names anywhere of the own modules that it has, in whatever way it got the module."""
+        known = -1
+        while known != (known := sum(len(names) for names in self._names_at.values())):
+            for module in sorted(self.modules.values(), key=lambda module: module.__name__):
+                if module.__name__ != "__main__":  # a notebook has names of all kinds
+                    self._module(module, self._words)
 
     def add(self, value: Any, place: str = "") -> None:
         """Add a value; ``place`` says where it is, for the message if it cannot be hashed.
@@ -175,6 +194,8 @@ class ValueHash:
         self._text(kind.__qualname__)
         if kind in _ATOMS:
             self._text(repr(x))
+            if kind is str:
+                self._words |= words_of(x)
         elif kind is tuple:
             self._all(x)
         elif kind is frozenset or kind is set:
@@ -218,11 +239,16 @@ class ValueHash:
             self.add(x.__func__)
         elif isinstance(x, types.MethodType):
             self._all((x.__self__, x.__func__))
+        elif isinstance(x, types.MethodWrapperType):
+            self._all((x.__self__, x.__name__))
         elif isinstance(x, functools.cached_property):
             self._all((x.func, x.attrname))
         elif isinstance(x, functools._lru_cache_wrapper):
             self._text(repr(x.cache_parameters()))
             self.add(x.__wrapped__)
+        elif isinstance(getattr(x, "py_func", None), types.FunctionType):  # numba compiles it
+            self._text(repr(sorted(getattr(x, "targetoptions", {}).items())))
+            self.add(x.py_func)
         elif isinstance(x, io.IOBase):
             self._give_up(x, "it is open")
         elif isinstance(x, types.MappingProxyType):
@@ -251,12 +277,14 @@ class ValueHash:
 
     def _set(self, x: Iterable[Any]) -> None:
         """Items in the order of their hashes: that of a set differs from process to process."""
+        self.walks_sets = True
         digests = []
         for item in x:
             alone = self._another()
             alone.add(item)
             self.modules |= alone.modules
             self.libraries |= alone.libraries
+            self._words |= alone._words
             digests.append(alone.hexdigest())
         self._text(" ".join(sorted(digests)))
 
@@ -285,7 +313,7 @@ class ValueHash:
             return
         self.modules[id(x)] = x
         reached = self._names_at.setdefault(id(x), set())
-        for name in sorted((names or set()) & vars(x).keys() - reached):
+        for name in sorted(({*(names or ()), "__getattr__"} & vars(x).keys()) - reached - NOT_OF_A_PROGRAM):
             reached.add(name)
             self._text(name)
             self._global(vars(x)[name], names or set(), f"{x.__name__}.{name}")
@@ -304,6 +332,8 @@ class ValueHash:
             elif isinstance(value, types.FunctionType) and not is_library_code(value):
                 self._text(f"{x.__name__}.{name}")
                 self.add(value, f"{x.__name__}.{name}")
+            elif is_own_class(type(value)) or (type(value) in _HOLD_VALUES and x.__name__ != "sys"):
+                self.add(value, f"{x.__name__}.{name}")
             elif callable(value) and (called := getattr(value, "__name__", name)) != name:
                 self._text(f"{x.__name__}.{name} is {called}")
 
@@ -319,6 +349,7 @@ class ValueHash:
             return
         if home is not None:
             self.modules[id(home)] = home
+        self.walks_sets = self.walks_sets or walks_sets(f.__code__)
         self._code(f.__code__)
         self.add(f.__defaults__, f"default of {f.__name__}")
         self.add(f.__kwdefaults__, f"default of {f.__name__}")
@@ -337,14 +368,19 @@ class ValueHash:
             self.add(content, f"{name}, around {f.__name__},")
 
     def _names_of_code(self, f: types.FunctionType, home: types.ModuleType | None) -> None:
-        names = {name for code in parts_of(f.__code__) for name in code.co_names}
-        by_name = _calls_by_name(f.__code__) if _BY_NAME & names - f.__globals__.keys() else ""
-        if by_name and (home is None or home.__name__ == "__main__"):
-            raise UnhashableError(f"{f.__name__} looks names up by {by_name}(), so what it uses is not known")
-        for name in sorted(names & f.__globals__.keys()):
-            if not name.startswith("__"):
-                self._text(name)
-                self._global(f.__globals__[name], names, f"global {name}")
+        names = names_of(f.__code__)
+        self._words |= names
+        by_name = looks_up(f, in_a_module=home is not None and home.__name__ != "__main__")
+        if by_name and self._strict:
+            raise UnhashableError(f"{f.__name__} looks names up by {by_name}, so what it uses is not known")
+        loaded = globals_of(f.__code__) - NOT_OF_A_PROGRAM
+        for name in sorted(loaded & f.__globals__.keys()):
+            self._text(name)
+            self._global(f.__globals__[name], names, f"global {name}")
+        built_in = f.__builtins__  # pyright: ignore[reportAttributeAccessIssue]
+        for name in sorted((loaded & built_in.keys()) - f.__globals__.keys()):
+            self._text(name)
+            self.add(built_in[name], f"builtin {name}")
         for name in sorted(imported_inside(f)):
             self._global(_imported(name, f), names, name)
 
@@ -367,6 +403,7 @@ class ValueHash:
         self._attributes(vars(x), _NOT_OF_A_CLASS)
         notes = vars(x).get("__annotations__", {})
         self._text(repr([(name, _plain_repr(value)) for name, value in notes.items()]))
+        self._text(_plain_repr(vars(x).get("__doc__")))
 
     @staticmethod
     def _home_of_methods(x: type) -> types.ModuleType | None:
@@ -408,8 +445,20 @@ class ValueHash:
             self._give_up(x, str(e))
             return
         if isinstance(reduced, str):
-            self._text(f"{getattr(x, '__module__', '')}.{reduced}")
-            return
+            self._named(x, reduced)
+        else:
+            self._parts(reduced)
+        if not is_library(type(x).__module__):
+            self._attributes(_own_attributes(x))  # also what its own __getstate__ leaves out
+
+    def _named(self, x: Any, name: str) -> None:
+        """An object that pickle would store by its name."""
+        home = pickle.whichmodule(x, name)  # pyright: ignore[reportAttributeAccessIssue]
+        self._text(f"{home}.{name}")
+        if is_library(type(x).__module__) and _resolved(home, name) is not x:
+            self._give_up(x, f"it is not {home}.{name}")
+
+    def _parts(self, reduced: tuple[Any, ...]) -> None:
         make, arguments, *rest = reduced
         self._all((make, *arguments))
         state, listed, mapped = [*rest[:3], None, None, None][:3]
@@ -421,8 +470,6 @@ class ValueHash:
         self._all([] if listed is None else list(listed))
         for key, value in [] if mapped is None else list(mapped):
             self._all((key, value))
-        if not is_library(type(x).__module__) and type(getattr(x, "__dict__", None)) is dict:
-            self._attributes(vars(x))  # also what its own __getstate__ leaves out
 
     def _give_up(self, x: Any, why: str) -> None:
         if self._strict:
@@ -434,38 +481,6 @@ class ValueHash:
 
     def _text(self, text: str) -> None:
         self._hash.update(text.encode(errors="surrogatepass") + b"\0")
-
-
-def parts_of(code: types.CodeType) -> Iterator[types.CodeType]:
-    """The code of a function and of the functions inside it."""
-    yield code
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from parts_of(constant)
-
-
-def imported_inside(f: types.FunctionType) -> set[str]:
-    """Modules that a function imports while it runs, by their full names."""
-    package = f.__globals__.get("__package__") or (f.__globals__.get("__name__") or "").rpartition(".")[0]
-    found = set()
-    for code in parts_of(f.__code__):
-        instructions = list(dis.get_instructions(code))
-        for i, instruction in enumerate(instructions):
-            if instruction.opname == "IMPORT_NAME":
-                level = instructions[i - 2].argval  # put on the stack before the names
-                name = "." * level + instruction.argval if isinstance(level, int) else instruction.argval
-                with contextlib.suppress(ImportError):
-                    found.add(importlib.util.resolve_name(name, package))
-    return found
-
-
-def _calls_by_name(code: types.CodeType) -> str:
-    """The builtin by which code looks names up; empty if it does not. ``net.eval()`` is no such builtin."""
-    loaded = {
-        i.argval for part in parts_of(code) for i in dis.get_instructions(part)
-        if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")
-    }  # fmt: skip
-    return next(iter(sorted(_BY_NAME & loaded)), "")
 
 
 def _imported(name: str, f: types.FunctionType) -> Any:
@@ -481,6 +496,27 @@ def _imported(name: str, f: types.FunctionType) -> Any:
         return bring(name, f.__globals__, None, ("__name__",))
     except Exception:  # what somebody's module raises
         return None
+
+
+@functools.lru_cache(maxsize=65536)
+def is_own_class(kind: type) -> bool:
+    """Whether a class was written in a notebook, or in a file that is no library's."""
+    if kind.__module__ == "__main__":
+        return True
+    home = sys.modules.get(kind.__module__)
+    if not isinstance(home, types.ModuleType) or is_library_module(home):
+        return False
+    return bool(getattr(home, "__file__", None)) or hasattr(home, LOADED_SOURCE)
+
+
+def _own_attributes(x: Any) -> dict[str, Any]:
+    """Attributes of an object of somebody's own class, in its ``__dict__`` and in slots."""
+    found = dict(x.__dict__) if type(getattr(x, "__dict__", None)) is dict else {}
+    for kind in type(x).__mro__:
+        for name, member in vars(kind).items():
+            if isinstance(member, types.MemberDescriptorType) and not is_library(kind.__module__) and hasattr(x, name):
+                found[name] = getattr(x, name)
+    return found
 
 
 def _is_importable(f: types.FunctionType) -> bool:

@@ -3,18 +3,19 @@
 They decide what all code of a process does.
 """
 
+import decimal
 import functools
 import sys
 import types
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import torch
 
-from .code_values import ValueHash, is_library_code, is_library_module
+from .code_values import ValueHash, is_library_code, is_library_module, is_own_class
 
 _CALLED = (
     types.FunctionType, types.BuiltinFunctionType, types.MethodDescriptorType, types.MethodType, type, property,
@@ -22,13 +23,15 @@ _CALLED = (
 )  # fmt: skip
 _PACKAGE = __name__.partition(".")[0]
 _NOTHING = object()
-_AROUND_FUNCTIONS = (types.MethodType, staticmethod, classmethod, functools.partial, property)
+_AROUND_FUNCTIONS = (
+    types.MethodType, staticmethod, classmethod, functools.partial, property, functools._lru_cache_wrapper,
+)  # fmt: skip
 _HOOKS = {"builtins._", "builtins.display", "builtins.get_ipython"}
 """What interactive programs set, and no computation reads."""
 
 
 def patches() -> dict[str, str]:
-    """Name in a loaded library -> hash of somebody's own function there. It takes about 0.15 s."""
+    """Name in a loaded library -> hash of somebody's own function or object there. It takes about 0.15 s."""
     found: dict[str, str] = {}
     for place, names, _ in _namespaces():
         for name, value in list(names.items()):
@@ -36,9 +39,9 @@ def patches() -> dict[str, str]:
             if kind is types.FunctionType:
                 if id(value.__globals__) in _known_libraries:
                     continue
-            elif kind not in _AROUND_FUNCTIONS:
+            elif kind not in _AROUND_FUNCTIONS and not is_own_class(kind):
                 continue
-            own = _own_function(value)
+            own = value if is_own_class(kind) else _own_function(value)
             if own is not None and place != "sys" and f"{place}.{name}" not in _HOOKS:
                 code = ValueHash(strict=False)
                 code.add(own)
@@ -55,7 +58,11 @@ def switches() -> dict[str, str]:
         "deterministic": str(torch.are_deterministic_algorithms_enabled()),
         "gradients": str(torch.is_grad_enabled()),
         "small numbers": "kept" if float(torch.tensor([1e-40]) * 1.0) else "zero",
+        "oneDNN": str(torch.backends.mkldnn.enabled),
+        "TF32": f"{torch.backends.cuda.matmul.allow_tf32} {torch.backends.cudnn.allow_tf32}",
+        "cuDNN": str([getattr(torch.backends.cudnn, name) for name in ("enabled", "benchmark", "deterministic")]),
         "numpy errors": str(sorted(np.geterr().items())),
+        "decimal": str(decimal.getcontext().prec),
     }
 
 
@@ -66,6 +73,8 @@ class Namespace:
     name: str
     owner: Any
     names: dict[str, Any]
+    inside: dict[str, tuple[Any, ...]] = field(default_factory=dict)
+    """Of this package: name of a function -> its code, its defaults and its attributes."""
 
 
 def library_state(*libraries: str) -> list[Namespace]:
@@ -75,25 +84,39 @@ def library_state(*libraries: str) -> list[Namespace]:
         libraries: Beginnings of the names of modules; all by default.
     """
     return [
-        Namespace(name, owner, dict(names))
+        Namespace(name, owner, dict(names), _inside_all(names) if name.startswith(_PACKAGE) else {})
         for name, names, owner in _namespaces()
         if not libraries or f"{name}.".startswith(libraries)
     ]
 
 
 def changes_since(state: list[Namespace], *, all_of_package: bool = False) -> list[str]:
-    """Names in libraries whose function, class or number is another one than it was, sorted.
+    """Names in libraries whose function, class or number is another one than it was, sorted; of this package also
+    functions with other code, defaults or attributes, and new names of classes.
 
     Args:
         state: What ``library_state`` gave.
         all_of_package: Of this package every name that is new, or has any other value.
     """
-    return sorted(
-        f"{before.name}.{key}"
-        for before in state
-        for key, value in list(vars(before.owner).items())
-        if _is_change(before, key, value, all_of_package)
-    )
+    return sorted(name for name, _ in _changed(state, all_of_package))
+
+
+def changed_values(state: list[Namespace]) -> dict[str, str]:
+    """The names that ``changes_since`` gives, each with a hash of what it leads to now."""
+    found = {}
+    for name, value in _changed(state, False):
+        content = ValueHash(strict=False)
+        content.add(value)
+        content.add(_inside(value))
+        found[name] = content.hexdigest()
+    return found
+
+
+def _changed(state: list[Namespace], all_of_package: bool) -> Iterator[tuple[str, Any]]:
+    for before in state:
+        for key, value in list(vars(before.owner).items()):
+            if _is_change(before, key, value, all_of_package):
+                yield f"{before.name}.{key}", value
 
 
 def _is_change(before: Namespace, key: str, value: Any, all_of_package: bool) -> bool:
@@ -105,11 +128,29 @@ def _is_change(before: Namespace, key: str, value: Any, all_of_package: bool) ->
     inherited = next((vars(base)[key] for base in bases if key in vars(base)), value)  # a new name of a module is lazy
     was = before.names.get(key, inherited)
     if was is value:
-        return False
+        is_new = key not in before.names and bool(bases) and inherited is value and before.name.startswith(_PACKAGE)
+        return is_new or (key in before.inside and not _are_same(before.inside[key], _inside(value)))
     if issubclass(type(value), _CALLED):
         return issubclass(type(was), _CALLED)
     is_number = type(value) in (int, float, str, bool, tuple)
     return is_number and type(was) is type(value) and not key.startswith("_") and value != was
+
+
+def _inside_all(names: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
+    return {name: found for name, value in list(names.items()) if (found := _inside(value))}
+
+
+def _inside(value: Any) -> tuple[Any, ...]:
+    """What decides what a function does and can be changed without giving its name to another one."""
+    function = value.__func__ if isinstance(value, staticmethod | classmethod) else value
+    if type(function) is not types.FunctionType:
+        return ()
+    attributes = [part for pair in sorted(vars(function).items()) for part in pair]
+    return function.__code__, function.__defaults__, function.__kwdefaults__, *attributes
+
+
+def _are_same(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
+    return len(a) == len(b) and all(x is y or (type(x) is type(y) is str and x == y) for x, y in zip(a, b, strict=True))
 
 
 def _namespaces() -> Iterator[tuple[str, Any, Any]]:
@@ -136,6 +177,8 @@ def _own_function(value: Any) -> Any:
         return _own_function(value.__func__)
     if kind is functools.partial:
         return _own_function(value.func)
+    if kind is functools._lru_cache_wrapper:
+        return _own_function(value.__wrapped__)
     if kind is property:
         return next((own for f in (value.fget, value.fset) if (own := _own_function(f)) is not None), None)
     return None

@@ -3,6 +3,7 @@
 Python tells what it opens and starts (audit events, PEP 578). What compiled code opens by itself is not told.
 """
 
+import _thread
 import contextlib
 import functools
 import importlib.util
@@ -11,7 +12,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +43,25 @@ _IMPORT = {"importlib._bootstrap_external", "_frozen_importlib_external"}
 _NEW = os.O_CREAT | os.O_EXCL
 _COMPILERS = {"torch", "triton", "numba"}
 """Libraries that start a compiler for the code that they are given."""
-_PROGRAMS = {"subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.startfile", "pty.spawn"}
+_PROGRAMS = {
+    *("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.startfile", "pty.spawn"),
+    *("os.fork", "os.forkpty"),
+}
 _NETWORK = {"socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "socket.sendto", "urllib.Request"}
 _READING = {"os", "_collections_abc", "collections.abc"}
 """Modules through which the environment is read."""
 _OF_THE_USER = {"posixpath", "ntpath", "tempfile"}
 """Modules that look up the user's folders in the environment; what is read there is looked at by itself."""
+_ASKS = ("stat", "lstat", "access", "readlink")
+"""Functions of ``os`` that say something of a file without opening it, of which Python does not tell."""
+_ONLY_NAMES = {"resolve", "realpath", "_joinrealpath", "checkcache", "updatecache", "getsourcefile", "rmtree"}
+"""Functions of Python that ask so on the way to a path's full name, a message's source line, or to remove something."""
+_COMPILED_READERS = (
+    *(("cv2", name) for name in ("imread", "imreadmulti", "VideoCapture", "FileStorage")),
+    *(("torch", "from_file"), ("torch.jit", "load")),
+)
+"""Functions whose compiled code opens the file that their first argument names."""
+_CHANGES = {"os.remove", "os.rename", "os.rmdir", "os.link", "os.symlink", "os.truncate", "os.utime"}
 _FOLDERS = {"os.listdir", "os.scandir", "glob.glob", "os.walk", "glob.glob/2"}
 
 
@@ -72,8 +86,14 @@ class _Watch:
             self._opened(*arguments[:3])
         elif event in _FOLDERS:
             self._listed(arguments[0] if arguments else None)
-        elif event == "sqlite3.connect":
+        elif event == "sqlite3.connect" or (event == "ctypes.dlopen" and arguments[0]):
             self._opened(arguments[0], "r", 0)
+        elif event == "os.mkdir":
+            self.written.add(os.path.abspath(os.fsdecode(arguments[0])))
+        elif event in _CHANGES and _caller() == "" and not _is_only_a_name():
+            self._changed(arguments[0])
+        elif event == "builtins.input":
+            self._refuse("asks the user", "make it an option")
         elif event in _PROGRAMS and _caller() not in _COMPILERS and not _is_for_package():
             self._refuse(f"starts a program ({_words(arguments[:1])})", "compute in the rule, or give it the result")
         elif event in _NETWORK and not _is_for_package():
@@ -86,8 +106,8 @@ class _Watch:
 
     def environment(self, name: str) -> None:
         """The environment variable ``name`` is read."""
-        askers = itertools.islice((name for name, _ in _frames() if name not in _READING), 1)
-        if _caller() == "" and _OF_THE_USER.isdisjoint(askers):
+        asker, function = next((asked for asked in _functions() if asked[0] not in _READING), ("", ""))
+        if _caller() == "" and (asker not in _OF_THE_USER or function.startswith("expandvars")):
             self._refuse(f"reads the environment variable {name}", f'make it an option: {name.lower()}: str = "..."')
 
     def _opened(self, file: Any, _mode: Any, flags: Any) -> None:
@@ -96,7 +116,7 @@ class _Watch:
         path = os.path.abspath(os.fsdecode(file)) if os.fsdecode(file) != ":memory:" else ""
         if isinstance(flags, int) and flags & _NEW == _NEW:
             self.written.add(path)
-        if not path or path in self.written or _is_for_package():
+        if not path or self._is_its_own(path) or _is_for_package():
             return
         opener = _asker()
         if opener == "tokenize":  # the source of a function, for a message
@@ -115,11 +135,36 @@ class _Watch:
                 f"reads {path}, which none of its options names", f'declare it: weights: Path = Path("{path}")'
             )
 
+    def _changed(self, file: Any) -> None:
+        path = None if isinstance(file, int) else os.path.abspath(os.fsdecode(file))
+        if path is not None and not self._is_its_own(path):
+            self._refuse(f"changes {path}", "keep what it must remember in ctx.memory")
+
+    def _is_its_own(self, path: str | Path) -> bool:
+        """Whether it has made a file, or a folder around it, itself."""
+        return any(str(place) in self.written for place in (path, *Path(path).parents))
+
+    def compiled(self, file: Any) -> None:
+        """Compiled code is told to read a file."""
+        if isinstance(file, str | bytes | os.PathLike):
+            self._opened(file, "r", 0)
+
+    def asked(self, file: Any) -> None:
+        """Something is asked of a file: whether it is there, its size or its date."""
+        if not isinstance(file, str | bytes | os.PathLike) or _caller() != "" or _is_only_a_name():
+            return
+        path = Path(os.path.abspath(os.fsdecode(file)))
+        if not self._may_read(path) and not self._is_its_own(path):
+            self._refuse(
+                f"asks for {path} (whether it exists, its size or date), which none of its options names",
+                f'declare it: weights: Path = Path("{path}")',
+            )
+
     def _listed(self, folder: Any) -> None:
         if folder is None or isinstance(folder, int) or _caller() != "":
             return
         path = Path(os.path.abspath(os.fsdecode(folder)))
-        if not self._may_read(path):
+        if not self._may_read(path) and not self._is_its_own(path):
             self._refuse(f"lists {path}, which none of its options names", f'declare it: masks: Path = Path("{path}")')
 
     def _may_read(self, path: Path) -> bool:
@@ -160,6 +205,24 @@ def _frames() -> Iterator[tuple[str, dict[str, Any]]]:
         if not is_ours:
             yield name, frame.f_globals
         frame = frame.f_back
+
+
+def _functions() -> Iterator[tuple[str, str]]:
+    """Module and name of the functions on the stack, the nearest first, from where this module was called."""
+    frame: Any = sys._getframe(1)
+    is_ours = True
+    while frame is not None:
+        name = frame.f_globals.get("__name__") or ""
+        is_ours = is_ours and (name == __name__ or name.startswith(CHECKS_TYPES))
+        if not is_ours:
+            yield name, frame.f_code.co_name
+        frame = frame.f_back
+
+
+def _is_only_a_name() -> bool:
+    """Whether Python asks of a file only to find its full name, the line of a message, or to remove it."""
+    of_python = itertools.takewhile(lambda asked: asked[0].partition(".")[0] in sys.stdlib_module_names, _functions())
+    return any(function in _ONLY_NAMES for _, function in of_python)
 
 
 def _asker() -> str:
@@ -214,30 +277,45 @@ def _tell(event: str, arguments: tuple[Any, ...]) -> None:
 
 @contextlib.contextmanager
 def _calls_watched(watch: _Watch) -> Iterator[None]:
-    """Tell ``watch`` of the variables that are read, and the threads that are started, in this thread."""
+    """Tell ``watch`` of what Python does not tell of: the variables that are read, files that are asked for, and those
+    that compiled code opens, in this thread."""
     kind: Any = type(os.environ)
-    thread_kind: Any = threading.Thread
-    read = kind.__getitem__
-    start = thread_kind.start
 
-    def tell(environ: Any, name: Any) -> Any:
+    def told(function: Any, tell: Callable[[Any], None]) -> Any:
+        @functools.wraps(function)
+        def first_told(*arguments: Any, **options: Any) -> Any:
+            if _watch() is watch and arguments:
+                tell(arguments[0])
+            return function(*arguments, **options)
+
+        return first_told
+
+    def tell_of_thread(_: Any) -> None:
+        watch.thread()
+
+    read = kind.__getitem__
+
+    def tell_of_variable(environ: Any, name: Any) -> Any:
         if _watch() is watch:
             watch.environment(os.fsdecode(name))
         return read(environ, name)
 
-    def tell_of_thread(thread: threading.Thread) -> None:
-        if _watch() is watch:
-            watch.thread()
-        start(thread)
-
+    replaced: list[tuple[Any, str, Any]] = [(kind, "__getitem__", tell_of_variable)]
+    replaced += [(os, name, told(getattr(os, name), watch.asked)) for name in _ASKS]
+    starts = ((threading.Thread, "start"), (_thread, "start_new_thread"))
+    replaced += [(owner, name, told(getattr(owner, name), tell_of_thread)) for owner, name in starts]
+    for module, name in _COMPILED_READERS:
+        if (owner := sys.modules.get(module)) is not None:
+            replaced.append((owner, name, told(getattr(owner, name), watch.compiled)))
     with _patching:
-        kind.__getitem__ = tell
-        thread_kind.start = tell_of_thread
+        before = [(owner, name, getattr(owner, name)) for owner, name, _ in replaced]
+        for owner, name, value in replaced:
+            setattr(owner, name, value)
         try:
             yield
         finally:
-            kind.__getitem__ = read
-            thread_kind.start = start
+            for owner, name, value in before:
+                setattr(owner, name, value)
 
 
 @contextlib.contextmanager

@@ -22,9 +22,9 @@ import random
 import threading
 import time
 
-import cv2
 import numpy as np
 import torch
+from cv2 import imread
 
 import beside
 
@@ -110,8 +110,23 @@ def environment(ctx):
     return every(ctx, int(os.environ.get("STEP", "9")))
 
 
+def process(ctx):
+    return every(ctx, 9 if os.getpid() else 7)
+
+
+WORDS = {"a", "b", "c", "d", "e", "f"}
+
+
+def order(ctx):
+    return every(ctx, 5 + sorted(WORDS).index(next(iter(WORDS))))
+
+
+def count(ctx):
+    return every(ctx, 3 + len(WORDS))
+
+
 def picture(ctx):
-    return every(ctx, int(cv2.imread("{picture}").mean()))
+    return every(ctx, int(imread("{picture}").mean()))
 """
 
 
@@ -161,6 +176,8 @@ REFUSED = {
     "library_counter": r"changes gsfusion_nb\.seeding\.context\.SeedContext\.n for everybody",
     "patch": r"changes gsfusion_nb\.seeding\.context\.SeedContext\.normals for everybody",
     "switch": "changes a setting of the whole process: matmul precision",
+    "process": r"asks for what differs from process to process \(posix\.getpid\)",
+    "order": "gives other seeds in another process: the order of the texts in a set",
     "writes": r"changed frame\.depth_m in place",
     "environment": "reads the environment variable STEP",
 }
@@ -172,6 +189,40 @@ def test_the_check_refuses(fresh_checks, entry, tmp_path, name, reason):
     import re
 
     assert re.search(reason, admission.admission(entry(name), tmp_path / "checks").refused)
+
+
+@pytest.mark.ci
+def test_a_set_whose_order_does_not_matter_is_fine(fresh_checks, entry, tmp_path):
+    assert admission.admission(entry("count"), tmp_path / "checks") == Admission()
+
+
+def test_a_rule_with_sets_is_checked_in_other_orders(fresh_checks, entry, tmp_path, monkeypatch):
+    orders = []
+
+    def run(entry, rule, order="1"):
+        orders.append(order)
+        return {"refused": "", "code": entry.spec.code, "walks_sets": name == "count", "seeds": seeds[order]}
+
+    monkeypatch.setattr(admission, "_run", run)
+    for name, seeds, most in (
+        ("plain", {"1": "x"}, 1),
+        ("count", dict.fromkeys("1234", "x"), 4),
+        ("count", {"1": "x", "2": "x", "3": "x", "4": "y"}, 4),
+    ):
+        orders.clear()
+        found = admission.admission(entry(name), tmp_path / f"checks {len(set(seeds.values()))}")
+        assert (len(orders), len(set(orders))) == (most, most)
+        assert ("gives other seeds in another process" in found.refused) == (len(set(seeds.values())) > 1)
+
+
+@pytest.mark.parametrize("text", ["{}", '{"refused": 3, "not_kept": ""}', '{"refused": ""}', "[", '{"x": 1}'])
+def test_a_damaged_finding_is_made_again(fresh_checks, entry, tmp_path, monkeypatch, text):
+    monkeypatch.setattr(admission, "_run", lambda *_: {"refused": "no", "code": {}})
+    assert admission.admission(entry("plain"), tmp_path).refused == "no"
+    (file,) = tmp_path.glob("*.json")
+    file.write_text(text)
+    assert admission.admission(entry("plain"), tmp_path).refused == "no"
+    assert json.loads(file.read_text())["refused"] == "no"
 
 
 @pytest.mark.ci

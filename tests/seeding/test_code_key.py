@@ -30,13 +30,15 @@ import uuid
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb import backends
 from gsfusion_nb.seeding import SeedContext, code_key, installed, is_built_in, registered
 from gsfusion_nb.seeding.code_key import differing, loaded_values
-from gsfusion_nb.seeding.patches import changes_since, library_state, patches, switches
+from gsfusion_nb.seeding.patches import changed_values, changes_since, library_state, patches, switches
 from gsfusion_nb.seeding.rule_code import load_rule_file
 
 
@@ -54,6 +56,22 @@ class Plain:
 
     def __init__(self, step):
         self.step = step
+
+
+class SlotsThatHide(Slots):
+    """Leaves out its slot where it is pickled."""
+
+    __slots__ = ()
+
+    def __getstate__(self):
+        return None
+
+
+class Named(Plain):
+    """Is pickled by a name, as if it were the only one."""
+
+    def __reduce__(self):
+        return "NAMED"
 
 
 class Hides(Plain):
@@ -291,6 +309,8 @@ VALUES: dict[str, Any] = {
     "object": (Plain(3), Plain(3), Plain(4)),
     "object with slots": (Slots(3), Slots(3), Slots(4)),
     "object that hides its state": (Hides(3), Hides(3), Hides(4)),
+    "object with slots that hides its state": (SlotsThatHide(3), SlotsThatHide(3), SlotsThatHide(4)),
+    "object that is pickled by a name": (Named(3), Named(3), Named(4)),
     "callable object": (Called(3), Called(3), Called(4)),
     "object in an object": (Plain(Plain(3)), Plain(Plain(3)), Plain(Plain(4))),
     "method of an object": (Called(3).__call__, Called(3).__call__, Called(4).__call__),
@@ -301,6 +321,11 @@ VALUES: dict[str, Any] = {
     "count": (with_counter(1), with_counter(1), with_counter(2)),
     "Python's random numbers": (random.Random(1), random.Random(1), random.Random(2)),
     "function of a library": (math.sin, math.sin, math.cos),
+    "method of a number": ((3).__add__, (3).__add__, (4).__add__),
+    "function that NumPy vectorises": (*(np.vectorize(with_default(v)) for v in (1, 1, 2)),),
+    "function that numba compiles": (*(numba.njit(f) for f in (nested(1), nested(1), nested(2))),),
+    "options of numba": (*(numba.njit(nested(1), fastmath=v) for v in (False, False, True)),),
+    "documentation of a class": (*(made_class(__doc__=text) for text in ("3", "3", "4")),),
     "method of a text": ("a".join, "a".join, "b".join),
     "NumPy scalar": (np.float64(1.5), np.float64(1.5), np.float64(2.5)),
     "type of a NumPy scalar": (np.float64(1), np.float64(1), np.float32(1)),
@@ -367,6 +392,7 @@ UNHASHABLE = {
     "context variable": (lambda: contextvars.ContextVar("x"), "ContextVar"),
     "open file": (lambda: open(os.devnull), "cannot be hashed"),  # noqa: SIM115
     "lock in an object": (lambda: Plain([threading.Lock()]), "cannot pickle"),
+    "function that NumPy wraps": (lambda: np.frompyfunc(doubled, 3, 1), "it is not"),
     "hash in the making": (hashlib.sha256, "cannot pickle"),
 }
 
@@ -664,6 +690,9 @@ PATCHES = {
     "function of NumPy": (np, "median", mine),
     "function of Python": (math, "sqrt", lambda x: x),
     "method of the context": (SeedContext, "cells", mine),
+    "object that can be called": (torch, "sum", Called(1)),
+    "object as a method of the context": (SeedContext, "corners", Called(1)),
+    "function of one's own in a cache": (torch, "sum", functools.lru_cache(mine)),
     "partial with a function of one's own": (torch, "sum", functools.partial(mine, 1)),
     "property of the context": (SeedContext, "has_map", property(mine)),
     "wrapper of the function itself": (torch, "sum", functools.wraps(torch.sum)(mine)),
@@ -682,14 +711,35 @@ SWAPS = {
     "another method of a tensor": (torch.Tensor, "median", torch.Tensor.mean),
     "another method of the context": (SeedContext, "corners", SeedContext.pixels),
     "constant": (math, "pi", 3.0),
+    "code of a function": (backends.chosen, "__code__", (lambda *args: None).__code__),
+    "default of a method": (SeedContext.corners, "__defaults__", (5,)),
+    "new attribute of the context": (SeedContext, "step", 5),
 }
 
 
 @pytest.mark.parametrize(("owner", "name", "value"), SWAPS.values(), ids=SWAPS)
 def test_a_name_of_a_library_that_leads_elsewhere_is_seen(monkeypatch, owner, name, value):
-    before = library_state("torch.", "math.", "gsfusion_nb.seeding.context.")
-    monkeypatch.setattr(owner, name, value)
-    assert any(key.endswith(f".{name}") for key in changes_since(before))
+    before = library_state("torch.", "math.", "gsfusion_nb.seeding.", "gsfusion_nb.backends.")
+    monkeypatch.setattr(owner, name, value, raising=False)
+    changed = getattr(owner, "__name__", "") if name.startswith("__") else name
+    assert any(key.endswith(f".{changed}") for key in changes_since(before))
+
+
+def test_what_a_name_of_a_library_leads_to_is_part_of_the_key(monkeypatch):
+    """Not only that it was changed."""
+    before = library_state("gsfusion_nb.seeding.context.", "math.")
+    for owner, name, values in (
+        (SeedContext, "corners", (SeedContext.pixels, SeedContext.normals)),
+        (SeedContext.corners, "__defaults__", ((5,), (6,))),
+        (math, "pi", (3.0, 3.1)),
+    ):
+        found = []
+        for value in values:
+            monkeypatch.setattr(owner, name, value)
+            found.append(changed_values(before))
+        monkeypatch.undo()
+        assert found[0].keys() == found[1].keys() != set()
+        assert found[0] != found[1]
 
 
 def test_a_swapped_function_that_the_rule_names_is_seen(monkeypatch):
@@ -709,6 +759,13 @@ def test_settings_of_the_whole_process_are_seen():
         assert switches() != before
     with np.errstate(divide="raise"):
         assert switches() != before
+    with decimal.localcontext(prec=5):
+        assert switches() != before
+    torch.backends.cudnn.benchmark = True
+    try:
+        assert switches() != before
+    finally:
+        torch.backends.cudnn.benchmark = False
     torch.set_default_dtype(torch.float64)
     try:
         assert switches() != before

@@ -1,14 +1,20 @@
 """What a rule reads besides its context is refused unless an option names it: files, environment, other programs."""
 
+import _thread
+import contextlib
+import ctypes
 import glob
 import os
 import sqlite3
 import subprocess
 import tempfile
 import threading
+import traceback
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -24,6 +30,7 @@ def folder(tmp_path):
     (tmp_path / "text").write_text("3")
     np.save(tmp_path / "array.npy", np.ones(3))
     torch.save(torch.ones(2), tmp_path / "weights.pt")
+    cv2.imwrite(str(tmp_path / "picture.png"), np.zeros((2, 2), np.uint8))
     sqlite3.connect(tmp_path / "table.db").execute("create table t(x)").connection.close()
     return tmp_path
 
@@ -58,6 +65,16 @@ def written(folder):
     (folder / "new").write_text("3")
 
 
+def forked(folder):
+    if (process := os.fork()) == 0:
+        os._exit(0)
+    os.waitpid(process, 0)
+
+
+def expanded(folder):
+    assert os.path.expandvars("$PATH") != "$PATH"
+
+
 READS = {
     "open": (lambda folder: (folder / "text").open().close(), "text"),
     "Path.read_text": (lambda folder: (folder / "text").read_text(), "text"),
@@ -80,14 +97,37 @@ READS = {
     "os.getenv": (lambda folder: os.getenv("NOT_THERE"), "environment variable NOT_THERE"),
     "in os.environ": (lambda folder: "PATH" in os.environ, "environment variable PATH"),
     "all of os.environ": (lambda folder: dict(os.environ), "environment variable"),
+    "variable in a text": (expanded, "environment variable PATH"),
+    "variable as bytes": (lambda folder: os.environb[b"PATH"], "environment variable PATH"),
+    "whether a file exists": (lambda folder: (folder / "text").exists(), "asks for .*text"),
+    "whether a file is missing": (lambda folder: os.path.exists(folder / "no"), "asks for .*no "),
+    "whether it is a file": (lambda folder: os.path.isfile(folder / "text"), "asks for .*text"),
+    "whether it may be read": (lambda folder: os.access(folder / "text", os.R_OK), "asks for .*text"),
+    "date of a file": (lambda folder: os.path.getmtime(folder / "text"), "asks for .*text"),
+    "size of a file": (lambda folder: (folder / "text").stat().st_size, "asks for .*text"),
+    "link": (lambda folder: (folder / "text").is_symlink(), "asks for .*text"),
+    "OpenCV": (lambda folder: cv2.imread(str(folder / "picture.png")), r"picture\.png"),
+    "OpenCV's files": (lambda folder: cv2.FileStorage(str(folder / "text"), 0).release(), "reads .*text"),
+    "torch.from_file": (lambda folder: torch.from_file(str(folder / "text"), size=1, dtype=torch.uint8), "text"),
+    "torch.jit.load": (lambda folder: torch.jit.load(str(folder / "text")), "reads .*text"),
+    "a library of C": (lambda folder: ctypes.CDLL(str(folder / "text")), "reads .*text"),
+    "removing": (lambda folder: (folder / "text").unlink(), "changes .*text"),
+    "renaming": (lambda folder: (folder / "text").rename(folder / "other"), "changes .*text"),
+    "another process": (forked, "starts a program"),
+    "thread without threading": (lambda folder: _thread.start_new_thread(int, ()), "starts a thread"),
+    "pool of threads": (lambda folder: list(ThreadPoolExecutor(1).map(int, "3")), "starts a thread"),
     "network": (connected, "uses the network"),
     "thread": (started_thread, "starts a thread"),
 }
 
 
+ITS_OWN = (OSError, RuntimeError, Warning, cv2.error)
+"""Errors of what reads, for which these files are none."""
+
+
 @pytest.mark.parametrize(("read", "what"), READS.values(), ids=READS)
 def test_what_no_option_names_is_refused_with_its_name(folder, read, what):
-    with pytest.raises(UndeclaredError, match=what), only_declared("mine"):
+    with pytest.raises(UndeclaredError, match=what), only_declared("mine"), contextlib.suppress(*ITS_OWN):
         read(folder)
 
 
@@ -98,7 +138,28 @@ def temporary(folder):
         assert Path(file.name).read_bytes() == b"3"
 
 
+def folder_of_its_own(folder):
+    with tempfile.TemporaryDirectory() as own:
+        file = Path(own) / "x"
+        file.write_text("3")
+        assert file.exists()
+        assert os.listdir(own) == ["x"]
+
+
+def traced_back(folder):
+    try:
+        raise OSError
+    except OSError:
+        traceback.format_exc()
+
+
 ALLOWED = {
+    "temporary folder of its own": folder_of_its_own,
+    "the full name of a file": lambda folder: Path(__file__).resolve(),
+    "a source line": traced_back,
+    "a library of the system": lambda folder: ctypes.CDLL(None),
+    "declared picture": lambda folder: cv2.imread(str(folder / "picture.png")).sum(),
+    "declared file that exists": lambda folder: (folder / "text").exists(),
     "declared folder": lambda folder: (folder / "text").read_text(),
     "temporary file of its own": temporary,
     "a module of Python": lambda folder: __import__("colorsys"),
@@ -114,10 +175,11 @@ def test_what_decides_nothing_or_is_declared_is_allowed(folder, read):
 
 
 def test_the_environment_is_as_before_afterwards():
-    read = type(os.environ).__getitem__
+    names = [(type(os.environ), "__getitem__"), (os, "stat"), (cv2, "imread"), (threading.Thread, "start")]
+    before = [getattr(owner, name) for owner, name in names]
     with only_declared("mine"):
-        pass
-    assert type(os.environ).__getitem__ is read
+        assert os.stat is not before[1]
+    assert [getattr(owner, name) for owner, name in names] == before
 
 
 def test_check_rule_refuses_a_rule_that_reads_what_no_option_names(folder):

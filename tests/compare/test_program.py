@@ -1,0 +1,62 @@
+"""The key of a run tells programs apart that compute something else."""
+
+import functools
+import math
+
+import pytest
+import torch
+
+from gsfusion_nb.compare import program
+from gsfusion_nb.seeding import SeedContext
+from gsfusion_nb.seeding.context import Neighbours
+
+
+class Called:
+    """Somebody's object in place of a function."""
+
+    def __init__(self, step):
+        self.step = step
+
+    def __call__(self, *_, **__):
+        return self.step
+
+
+def of(step):
+    return lambda *_, **__: step
+
+
+CHANGES = {
+    "a method of the context": (SeedContext, "corners", of(1), of(2)),
+    "another method of the context": (SeedContext, "corners", SeedContext.pixels, SeedContext.normals),
+    "an object": (SeedContext, "corners", Called(1), Called(2)),
+    "a function in a cache": (torch, "sum", functools.cache(of(1)), functools.cache(of(2))),
+    "a new attribute of the context": (SeedContext, "step", 1, 2),
+    "defaults of a method": (SeedContext.corners, "__defaults__", (1,), (2,)),
+    "attributes of a class": (Neighbours, "step", (1,), (2,)),
+    "a number of Python": (math, "pi", 3.0, 3.1),
+}
+
+
+@pytest.fixture
+def key(monkeypatch):
+    """A function that gives the key of the program as it is now; files of libraries are not looked at."""
+    monkeypatch.setattr(program.installed, "state_of", lambda name: "1.0")
+
+    def found():
+        program.look_at_program_again()
+        return program.run_key()
+
+    yield found
+    program.look_at_program_again()
+
+
+@pytest.mark.parametrize(("owner", "name", "first", "second"), CHANGES.values(), ids=CHANGES)
+def test_each_change_of_the_program_has_a_key_of_its_own(monkeypatch, key, owner, name, first, second):
+    keys = [key()]
+    for value in (first, second, second):
+        with monkeypatch.context() as patched:
+            patched.setattr(owner, name, value, raising=False)
+            keys.append(key())
+    assert len(set(keys)) == 3
+    assert keys[2] == keys[3]
+    assert key() == keys[0]
