@@ -125,6 +125,23 @@ def polycam_corrected(root: Path, takes: Any) -> Path:
     return polycam(root, takes, corrected=True)
 
 
+def scanner_app(root: Path, takes: Any) -> Path:
+    """3D Scanner App, all data: a JSON for each frame, a colour image for some."""
+    K = matrix(takes)
+    K[:2, 2] += 0.5
+    for i, T in enumerate(poses(takes)):
+        values = {"intrinsics": K.ravel().tolist(), "cameraPoseARFrame": (T @ GL).ravel().tolist()}
+        values |= {"time": 98064.68 + 0.1 * i, "frame_index": 6 * i, "motionQuality": 1}
+        takes.write(root / f"frame_{6 * i:05d}.json", json.dumps(values).encode())
+        takes.write(root / f"frame_{6 * i:05d}.jpg", takes.jpeg(i))
+        for number in (6 * i, 6 * i + 1):
+            takes.write(root / f"depth_{number:05d}.png", takes.depth_png(i))
+            confident = np.full(takes.depth_m[i].shape, 2, np.uint8)
+            takes.write(root / f"conf_{number:05d}.png", cv2.imencode(".png", confident)[1].tobytes())
+    (root / "info.json").write_text("{}")
+    return root
+
+
 def scannetpp_iphone(root: Path, takes: Any) -> Path:
     """ScanNet++'s iphone/: pose_intrinsic_imu.json."""
     write_images(root, takes, "rgb/frame_{:06d}.jpg", "depth/frame_{:06d}.png")

@@ -10,6 +10,7 @@ The data set holds no depth for these images: render it from the scan's mesh wit
 it. The world is that of the JSON, which has the mesh's x and y swapped and z negated.
 """
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...files import parsing, read_object
+from ...files import is_file, parsing, read_object
 from ...types import Camera
 from ..recorded.files import camera, require
 from ..recorded.poses import GL_TO_CV
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..sequence import SequenceError, SequenceNotFoundError
+
+log = logging.getLogger(__name__)
 
 LOOKS_FOR = ("nerfstudio/transforms_undistorted*.json", "train_test_lists.json")
 DEPTH_SCALE = 1000.0
@@ -44,7 +47,8 @@ def scannetpp(path: str | Path, *, split: str = "all", resolution: str = "auto")
 
     Raises:
         SequenceNotFoundError: the folder or one of its parts is missing.
-        SequenceError: a listed image without pose, or a missing or impossible key.
+        SequenceError: most listed images lack a pose or depth, or a missing or impossible key. Single ones without are
+            left out, and the number is logged.
     """
     if split not in ("train", "test", "all"):
         raise SequenceError(f"split must be train, test or all, got {split!r}")
@@ -54,15 +58,14 @@ def scannetpp(path: str | Path, *, split: str = "all", resolution: str = "auto")
     values = read_object(json_file, "nerfstudio transforms")
     names, n_train = _names(root / "train_test_lists.json", split)
     matrices = frame_matrices(values, json_file)
-    lacking = [n for n in names if n not in matrices]
-    if lacking:
-        raise SequenceError(
-            f"{json_file} has no frame {lacking[0]}; expected all {len(names)} of train_test_lists.json"
-        )
     images, depths = root / f"undistorted_images{suffix}", root / f"undistorted_depths{suffix}"
     for folder in (images, depths):
         if not folder.is_dir():
             raise SequenceNotFoundError(f"{folder} does not exist; expected the images that {json_file.name} describes")
+    listed = names
+    names = [n for n in listed if n in matrices and is_file(images / n) and is_file(depths / f"{Path(n).stem}.png")]
+    n_train = sum(name in names for name in listed[:n_train])
+    _tell_of_lacking(json_file, listed, names)
     scene = root.resolve().parent if root.resolve().name == "dslr" else root.resolve()
     return RecordedSequence(
         name=scene.name,
@@ -75,6 +78,29 @@ def scannetpp(path: str | Path, *, split: str = "all", resolution: str = "auto")
         depth_scale=DEPTH_SCALE,
         novel=frozenset(range(n_train, len(names))) if split == "all" else frozenset(),
     )
+
+
+_MOST_LACKING = 0.5
+"""Share of the listed images; releases took out 2 %."""
+
+
+def _tell_of_lacking(json_file: Path, listed: list[str], names: list[str]) -> None:
+    """Say which listed images are left out: releases take out images, and leave them in the lists.
+
+    Raises:
+        SequenceError: most of them.
+    """
+    lacking = [name for name in listed if name not in set(names)]
+    if len(lacking) > _MOST_LACKING * len(listed):
+        raise SequenceError(
+            f"{json_file}: {len(lacking)} of the {len(listed)} images of train_test_lists.json have no pose, no image "
+            f"or no depth, the first is {lacking[0]}; expected all three for most of them"
+        )
+    if lacking:
+        log.warning(
+            "%s: %d of %d listed images are left out, without a pose, an image or its depth, the first is %s",
+            *(json_file, len(lacking), len(listed), lacking[0]),
+        )
 
 
 def scene_folder(path: Path) -> Path:

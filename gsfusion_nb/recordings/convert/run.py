@@ -231,6 +231,11 @@ class _Conversion:
             notes.append(
                 f"{self._far_pixels} pixels beyond {limit:.1f} m, the limit of 16-bit depth, were set to missing"
             )
+        if len(self._lines) > 2 and len(set(self._lines)) == 1:
+            notes.append(
+                f"all {len(self._lines)} poses are equal: the camera stood still, or nobody knew them; --poses none "
+                "tracks the camera later"
+            )
         if stamps.times_s is None:
             notes.append(f"the recorded times are not times: {stamps.why_not}; no times or frame rate are written")
             self._times = self._depth_times = [None] * len(self._times)

@@ -1,42 +1,12 @@
 """ScanNet++ in the nerfstudio layout."""
 
-import json
-
-import numpy as np
 import pytest
 import torch
+from published_layouts import TEST, TRAIN
+from published_layouts import scannetpp_layout as write
 
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence, scannetpp
-
-TRAIN = ["DSC00003.JPG", "DSC00001.JPG", "DSC00002.JPG"]  # the lists' order, not the alphabet's
-TEST = ["DSC00005.JPG"]
-
-
-def write(root, box, suffix="_2", **changes):
-    """The public layout. The world of the JSON is any world: here the box's own."""
-    dslr = root / "dslr"
-    c = box.camera
-    frames = {}
-    for name in [*TRAIN, *TEST]:
-        T = box.poses(6)[int(name[3:8])]
-        box.write_pair(
-            dslr / f"undistorted_images{suffix}" / name,
-            dslr / f"undistorted_depths{suffix}" / name.replace("JPG", "png"),
-            T,
-            1000,
-        )
-        gl = T.numpy() @ np.diag([1.0, -1, -1, 1])
-        frames[name] = {"file_path": name, "transform_matrix": gl.tolist(), "is_bad": False}
-    values = {
-        "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height, "camera_model": "PINHOLE",
-        "k1": 0.0, "frames": [frames[n] for n in sorted(TRAIN)], "test_frames": [frames[n] for n in TEST],
-    }  # fmt: skip
-    (dslr / "nerfstudio").mkdir(exist_ok=True)
-    values = {k: v for k, v in (values | changes).items() if v is not None}
-    (dslr / f"nerfstudio/transforms_undistorted{suffix}.json").write_text(json.dumps(values))
-    (dslr / "train_test_lists.json").write_text(json.dumps({"train": TRAIN, "test": TEST, "has_masks": False}))
-    return root
 
 
 def test_reads_what_was_written(tmp_path, box):

@@ -5,28 +5,14 @@ import logging
 import numpy as np
 import pytest
 import torch
+from published_layouts import seven_scenes_layout as write
 
 from gsfusion_nb.data import SequenceError, folder, open_sequence, seven_scenes
 from gsfusion_nb.data.lens import warp_depth
-from gsfusion_nb.data.readers.seven_scenes import COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR
+from gsfusion_nb.data.readers.seven_scenes import T_DEPTH_COLOUR
 from gsfusion_nb.recordings.convert import ConvertOptions, convert
 from gsfusion_nb.recordings.convert.formats import readable_layout
 from gsfusion_nb.types import Camera
-
-
-def write(root, box, n=2):
-    """The public layout: colour from the colour camera, depth and pose of the depth camera."""
-    for i in range(n):
-        T = box.poses(n)[i]
-        _, depth_m = box.render(T, DEPTH_CAMERA)
-        rgb, _ = box.render(T @ T_DEPTH_COLOUR, COLOUR_LENS.camera)
-        depth_m[:9] = 65.535  # the invalid value
-        depth_m[9] = 0
-        box.write_rgb(root / f"frame-{i:06d}.color.png", rgb)
-        box.write_depth(root / f"frame-{i:06d}.depth.png", depth_m, 1000)
-        lines = ["\t ".join(f"{v: .7e}" for v in row) + "\t " for row in T.tolist()]
-        (root / f"frame-{i:06d}.pose.txt").write_text("\n".join(lines) + "\n")
-    return root
 
 
 def test_depth_camera_as_published(tmp_path, box, caplog):

@@ -5,6 +5,8 @@ import logging
 import numpy as np
 import pytest
 import torch
+from published_layouts import TUM_START_S as T0
+from published_layouts import tum_layout as write
 
 from gsfusion_nb.config import DataConfig, GSFusionConfig, RepairConfig
 from gsfusion_nb.config.parts import TrackingConfig
@@ -14,35 +16,7 @@ from gsfusion_nb.data.lens import CameraModel, Undistorter
 from gsfusion_nb.data.readers.tum import LENSES
 from gsfusion_nb.data.recorded.images import read_depth
 from gsfusion_nb.data.recorded.poses import interpolate_rows
-from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.types import Camera
-
-T0 = 1305031102.0
-
-
-def write(root, box, *, n=4, rgb_lag=0.012, gt_step=0.01, gt_end=1.0, camera=None, camera_scale=5000):
-    """The public layout: three lists with comments, images named by their time stamps."""
-    rgb_lines, depth_lines, gt_lines = ["# color images", "# timestamp filename"], ["# depth maps"], ["# ground truth"]
-    for i in range(n):
-        t_depth = 0.1 + i / 30
-        t_rgb = t_depth + rgb_lag
-        box.write_pair(
-            root / f"rgb/{T0 + t_rgb:.6f}.png",
-            root / f"depth/{T0 + t_depth:.6f}.png",
-            box.pose_at(t_depth),
-            camera_scale,
-            camera,
-        )
-        rgb_lines.append(f"{T0 + t_rgb:.6f} rgb/{T0 + t_rgb:.6f}.png")
-        depth_lines.append(f"{T0 + t_depth:.6f} depth/{T0 + t_depth:.6f}.png")
-    for k in range(int(gt_end / gt_step)):
-        T = box.pose_at(k * gt_step + 0.003)
-        w, x, y, z = quaternion.from_matrix(T[:3, :3]).tolist()
-        values = [*T[:3, 3].tolist(), x, y, z, w]
-        gt_lines.append(f"{T0 + k * gt_step + 0.003:.4f} " + " ".join(f"{v:.9f}" for v in values))
-    for name, lines in (("rgb", rgb_lines), ("depth", depth_lines), ("groundtruth", gt_lines)):
-        (root / f"{name}.txt").write_text("\n".join([*lines, ""]))
-    return root
 
 
 def test_reads_what_was_written(tmp_path, box):

@@ -41,6 +41,7 @@ READ = {
     "StrayScanner, frames written": Kind(kinds.stray, r"depth of confidence 1 and above"),
     "Polycam": Kind(kinds.polycam, r"uncorrected images.*1000 per metre"),
     "Polycam, corrected": Kind(kinds.polycam_corrected, r"corrected images and cameras"),
+    "3D Scanner App": Kind(kinds.scanner_app, r"3D Scanner App: depth read as 1000"),
     "ARKitScenes": Kind(kinds.arkitscenes, r"times read as s"),
     "Azure Kinect by Open3D": Kind(kinds.azure_open3d, r"intrinsic\.json", WITHOUT_POSES),
     "RTAB-Map, exported": Kind(kinds.rtabmap_export, r"its column of frames says whose they are"),

@@ -161,7 +161,11 @@ def _poses(metadata: dict[str, Any], n: int, path: Path) -> Float[Tensor, "N 4 4
         poses = torch.tensor(rows, dtype=torch.float64)
     if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < n:
         raise SequenceError(f"{path}: poses of the metadata must be {n} rows qx qy qz qw tx ty tz")
-    return matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ GL_TO_CV
+    known = (poses[:, :4] != 0).any(dim=1)  # some captures hold zeros, which are no rotation
+    if not bool(known.any()):
+        return None
+    T_WC = matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ GL_TO_CV
+    return T_WC.where(known[:, None, None], torch.nan)
 
 
 def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:

@@ -62,6 +62,22 @@ def check(out, takes, holes):
     type(takes)(takes.camera, takes.rgb, wanted, takes.T_WC, takes.times_s).check(out, rgb=3)
 
 
+def test_poses_of_zeros_are_no_poses(tmp_path, takes):
+    """Some captures hold zeros where ARKit did not know: no rotation, and not the identity."""
+    poses = json.loads(members(takes)["metadata"])["poses"]
+    some = write_r3d(tmp_path / "some.r3d", members(takes, poses=[poses[0], [0] * 7, *poses[2:]]))
+    assert convert(some, tmp_path / "out").dropped == {"tracking was lost (pose is NaN or infinite)": 1}
+    none = write_r3d(tmp_path / "none.r3d", members(takes, poses=[[0] * 7] * 4))
+    with pytest.raises(SequenceError, match=r"holds no poses.*--poses none"):
+        convert(none, tmp_path / "again")
+
+
+def test_equal_poses_prove_nothing(tmp_path, takes):
+    poses = json.loads(members(takes)["metadata"])["poses"]
+    report = convert(write_r3d(tmp_path / "scan.r3d", members(takes, poses=poses[:1] * 4)), tmp_path / "out")
+    assert any("all 4 poses are equal" in note and "--poses none" in note for note in report.notes)
+
+
 @pytest.mark.parametrize("packed", ["r3d", "folder"])
 def test_reads_what_was_written(tmp_path, takes, packed):
     source = tmp_path / "scan.r3d"
