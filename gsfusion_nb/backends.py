@@ -36,6 +36,7 @@ from typing import Any, TypeVar
 import torch
 
 from .checks import check_name
+from .interrupts import as_interrupt
 from .types import GaussianParams
 
 log = logging.getLogger(__name__)
@@ -109,7 +110,13 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                     raise ValueError(f"{name}: {e}") from None
             if chosen() not in ("reference", MINE) and _is_double(args, kwargs):
                 return plain(*args, **kwargs)
-            return _select(name, args, kwargs)(*args, **kwargs)
+            try:
+                return _select(name, args, kwargs)(*args, **kwargs)
+            except SystemError as e:
+                interrupt = as_interrupt(e)
+                if interrupt is None:
+                    raise
+                raise interrupt from None
 
         @functools.wraps(reference)
         def plain(*args, **kwargs):

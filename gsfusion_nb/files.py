@@ -111,7 +111,7 @@ _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class DiskFullError(OSError):
-    """There is no room for a file; the message names it and what is free."""
+    """There is no room for a file; the message names it, and what leaves none: the disk, a quota or a limit."""
 
     def __str__(self) -> str:
         return str(self.args[1])
@@ -144,13 +144,36 @@ def atomic_file(path: str | Path) -> Iterator[Path]:
     except OSError as e:
         if not _is_full(e):
             raise
-        left = (
-            f"{path} cannot be written: the disk is full, {shutil.disk_usage(path.parent).free / 1e6:.1f} MB are free"
-        )
-        raise DiskFullError(e.errno or errno.ENOSPC, left) from e
+        raise DiskFullError(e.errno or errno.ENOSPC, f"{path} cannot be written: {_why_no_room(e, path.parent)}") from e
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _why_no_room(error: OSError, folder: Path) -> str:
+    """What leaves no room for a file in a folder, in words."""
+    if error.errno == errno.EFBIG:
+        most = _largest_file_bytes()
+        if most is None:
+            return "the file system of its folder takes no file that is so large"
+        return (
+            f"this process may write no file of more than {most / 1e6:.1f} MB (the limit RLIMIT_FSIZE of the system, "
+            "in a shell: ulimit -f); `ulimit -f unlimited` lifts it"
+        )
+    free = f"{shutil.disk_usage(folder).free / 1e6:.1f} MB are free"
+    if error.errno == getattr(errno, "EDQUOT", None):
+        return f"the quota of this user is used up, though {free}"
+    return f"the disk is full, {free}"
+
+
+def _largest_file_bytes() -> int | None:
+    """How large a file of this process may become; None: as large as the file system allows."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    most, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    return None if most == resource.RLIM_INFINITY else most
 
 
 def remove_partial(folder: Path) -> None:
@@ -535,6 +558,33 @@ def read_object(
             got = f"a {type(values[key]).__name__}" if key in values else "none"
             raise SequenceError(f"{path} must hold an object at the key {key} ({what}), got {got}")
     return values
+
+
+def write_sealed(path: str | Path, values: dict[str, Any]) -> None:
+    """Write a JSON object with a checksum of its content, for ``read_sealed``."""
+    write_file(path, json.dumps(values | {_SEAL: _seal_of(values)}, indent=1, allow_nan=False))
+
+
+def read_sealed(path: str | Path, what: str) -> dict[str, Any]:
+    """What ``write_sealed`` wrote, if nobody has changed it since.
+
+    Raises:
+        SequenceNotFoundError: no such file. SequenceError: no JSON object, or not with the checksum of its content.
+    """
+    values = read_object(path, what)
+    seal = values.pop(_SEAL, None)
+    if seal is None:
+        raise SequenceError(f"{path} is not {what} of this version: it has no checksum")
+    if seal != _seal_of(values):
+        raise SequenceError(f"{path} was changed after it was written: its checksum is not that of its content")
+    return values
+
+
+_SEAL = "checksum"
+
+
+def _seal_of(values: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def parse_json(text: str, source: str, what: str) -> Any:

@@ -1,5 +1,6 @@
 """Files and folders that are complete or not there, whatever stops the program."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -171,3 +172,37 @@ def test_cache_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     if sys.platform.startswith("linux"):
         assert cache_folder() == tmp_path / "gsfusion_nb"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
+def test_a_limit_of_the_size_of_files_is_not_called_a_full_disk(tmp_path):
+    """As ``ulimit -f`` sets it; in a process of its own, which keeps it."""
+    code = f"""
+import resource
+from gsfusion_nb.files import DiskFullError, write_file
+resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+write_file("{tmp_path / "small"}", bytes(40_000))
+try:
+    write_file("{tmp_path / "large"}", bytes(60_000))
+except DiskFullError as e:
+    print(e)
+"""
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert f"{tmp_path / 'large'} cannot be written: this process may write no file of more than 0.1 MB" in said
+    assert "ulimit -f" in said
+    assert "disk is full" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["small"]
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (errno.ENOSPC, "the disk is full"),
+        (getattr(errno, "EDQUOT", errno.ENOSPC), "quota" if hasattr(errno, "EDQUOT") else "full"),
+        (errno.EFBIG, "the file system of its folder takes no file that is so large"),
+    ],
+)
+def test_what_leaves_no_room_is_named(tmp_path, code, words, monkeypatch):
+    monkeypatch.setattr(files, "_largest_file_bytes", lambda: None)
+    with pytest.raises(files.DiskFullError, match=words), atomic_file(tmp_path / "map"):
+        raise OSError(code, "no room")

@@ -138,14 +138,16 @@ _COUNTED_VIEWS, _TRIAL = 200, 8
 """Frames of which the blocks are counted, and frames that are mapped, both evenly spread."""
 _PROCESS_GB = 0.5
 """Of a process without a map."""
+_BYTES_PER_TRIANGLE = 130
+"""What a mesh takes while it is made, with its edges and vertices; 100 to 140 were measured."""
 
 
 def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict[str, float]:
     """The memory that the map of a recording will need, GB, by what takes it.
 
     The voxel blocks that some frames see are counted, without their voxels. A few frames are mapped, and the whole map
-    is taken to have as many Gaussians a block as that map. Every frame counts as a keyframe, so that pictures are an
-    upper bound. The mesh at the end is not counted.
+    is taken to have as many Gaussians and triangles a block as that map. Every frame counts as a keyframe, so that
+    pictures are an upper bound. A system without a TSDF makes one for its mesh, which counts as part of it.
 
     Args:
         sequence: The recording.
@@ -165,7 +167,8 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
     if not has_poses(frames):
         raise SequenceError(f"{sequence.name} has no poses, so what its frames see together is not known beforehand")
     mapper = make_mapper(replace(config, tracking__poses="given"))
-    has_volume, settings = hasattr(config, "tsdf"), getattr(config, "tsdf", TsdfConfig(voxel_size_m=0.04))
+    has_volume = hasattr(config, "tsdf")
+    settings = config.tsdf if has_volume else TsdfConfig(voxel_size_m=getattr(config, "mesh_voxel_m", 0.04))
     whole, part = TsdfVolume(settings), TsdfVolume(settings)
 
     def view(limit: int) -> "SequenceView":
@@ -177,10 +180,13 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
         part.index.add(new_band_blocks(part, frame))
         mapper.step(frame)
     columns, share = mapper.gaussians.columns.values(), whole.n_blocks / max(1, part.n_blocks)
-    pixels = sequence.camera.width * sequence.camera.height
+    pixels, mesh = sequence.camera.width * sequence.camera.height, mapper.mesh()
+    mesh_gb = share * len(mesh.faces) * _BYTES_PER_TRIANGLE / 1e9
+    volume_gb = whole.memory_bytes / 1e9
     return {
-        "voxel blocks": whole.memory_bytes / 1e9 if has_volume else 0.0,
+        "voxel blocks": volume_gb if has_volume else 0.0,
         "Gaussians": share * sum(column.nbytes for column in columns) / 1e9,
+        "mesh": mesh_gb + (0.0 if has_volume else volume_gb),
         "pictures, at most": n * pixels * (3 + 4) / 1e9,
         "process": _PROCESS_GB,
     }

@@ -2,7 +2,7 @@
 
 import contextlib
 import hashlib
-import json
+import logging
 import os
 import pickle
 import subprocess
@@ -17,7 +17,7 @@ from typing import Any
 
 import cloudpickle
 
-from ..files import read_object, write_file
+from ..files import read_object, read_sealed, write_sealed
 from ..seeding import SeedingRule, is_built_in, rule_name
 from ..seeding.code_key import differing, where_module
 from ..seeding.code_values import is_library_module
@@ -25,6 +25,8 @@ from .fresh_check import CheckJob
 from .map_scene import Entry, original
 from .program import run_key
 from .spec import ONLY_NOW
+
+log = logging.getLogger(__name__)
 
 AT_MOST_S = 300.0
 """How long the check of a rule may take, seconds; usually it takes 3 to 6."""
@@ -66,18 +68,19 @@ def admission(entry: Entry, folder: Path) -> Admission:
         not_kept = f"{rule_name(rule)} is not the same in every process: its {changed} differ"
     result = Admission(refused=found["refused"], not_kept=not_kept)
     if not spec.not_kept and not found.get("lost"):
-        write_file(path, json.dumps(vars(result)))
+        write_sealed(path, vars(result))
     return result
 
 
 def _read(path: Path) -> Admission | None:
-    """What was found before; None if nothing was, or if the file is damaged, so that the rule is checked again."""
-    with contextlib.suppress(ValueError):
-        if path.is_file():
-            found = read_object(path, "the check of a seeding rule")
-            if found.keys() == vars(Admission()).keys() and all(isinstance(text, str) for text in found.values()):
-                return Admission(**found)
-    return None
+    """What an earlier check found; None if nothing is known, or its file was changed or damaged, which is told."""
+    if not path.is_file():
+        return None
+    try:
+        return Admission(**read_sealed(path, "the check of a seeding rule"))
+    except (ValueError, TypeError) as e:
+        log.warning("%s is not used, and the rule is checked again: %s", path, e)
+        return None
 
 
 def _run_in_other_orders(entry: Entry, rule: SeedingRule, first: dict[str, Any]) -> dict[str, Any]:

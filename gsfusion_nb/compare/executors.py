@@ -190,7 +190,7 @@ def executor(jobs: int = 1, dask: str = "") -> Iterator[Executor]:
             yield on_dask(client)
     elif jobs > 1:
         with _processes(jobs) as pool:
-            yield OnFutures(lambda task: pool.submit(do_sent_task, task), concurrent.futures.wait)
+            yield OnFutures(lambda task: _submit(pool, task), concurrent.futures.wait)
     else:
         yield InProcess()
 
@@ -242,6 +242,18 @@ def _processes(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in multiprocessing.active_children():
             process.terminate()
+
+
+def _submit(pool: concurrent.futures.ProcessPoolExecutor, task: Task) -> concurrent.futures.Future:
+    """Give the pool a task, for which it may start a process. That takes no Ctrl-C, which is for its parent: it begins
+    with this thread's blocked signals, and imports for seconds before it can ignore one (``_begin_process``)."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        return pool.submit(do_sent_task, task)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return pool.submit(do_sent_task, task)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin_process() -> None:

@@ -1,16 +1,14 @@
 """All runs of a comparison: what is known is taken from the store, the rest is computed, in any order."""
 
-import contextlib
 import dataclasses
-import json
 import logging
 import uuid
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..backends import chosen
-from ..files import cache_folder, read_object, write_file
+from ..files import cache_folder, read_sealed, write_file, write_sealed
 from ..seeding import SeedingRule, is_built_in, registered
 from .admission import Admission, admission
 from .executors import Answer, Executor, InProcess, Task
@@ -20,6 +18,8 @@ from .spec import ONLY_NOW, RunResult, RunSpec, look_again
 from .tune import is_tuned, tuning_spec
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 RESULTS = "results"
 """Folder of the results in a store."""
@@ -35,17 +35,18 @@ class ResultStore:
     def __init__(self, folder: str | Path | None = None):
         self.folder = cache_folder() / "lab" if folder is None else Path(folder).expanduser()
         (self.folder / RESULTS).mkdir(parents=True, exist_ok=True)
+        self._refused: set[Path] = set()
+        """Files that were told to be useless."""
 
     def find(self, spec: RunSpec) -> RunResult | None:
-        """The result of a run with the key of ``spec`` that is done, with the labels of ``spec``; None if none is."""
+        """The result of a run with the key of ``spec`` that is done, with the labels of ``spec``; None if none is.
+
+        A file that is damaged or was changed is not used; one line names it.
+        """
         if spec.not_kept:
             return None
         path = self.folder / RESULTS / f"{spec.key}.json"
-        try:
-            found = RunResult.load(path) if path.is_file() else None
-        except (ValueError, OSError) as e:  # damaged, or from another version
-            log.warning("%s is not used: %s", path, e)
-            return None
+        found = self._read(path, lambda path: RunResult.load(path, key=spec.key))
         if found is None or found.status != "done":
             return None
         return dataclasses.replace(found, spec=spec, copied_from=str(self.folder))
@@ -57,12 +58,21 @@ class ResultStore:
     def find_tuned(self, spec: RunSpec) -> dict[str, Any] | None:
         """What ``tune`` found for ``tuning_spec(spec)``; None if that is not known."""
         path = self.folder / "tuned" / f"{tuning_key(spec)}.json"
-        with contextlib.suppress(ValueError):
-            return read_object(path, "the tuned option of a rule") if path.is_file() else None
+        return self._read(path, lambda path: read_sealed(path, "the tuned option of a rule"))
 
     def keep_tuned(self, spec: RunSpec, tuned: dict[str, Any]) -> None:
         """Write what ``tune`` found for ``tuning_spec(spec)``."""
-        write_file(self.folder / "tuned" / f"{tuning_key(spec)}.json", json.dumps(tuned, indent=1))
+        write_sealed(self.folder / "tuned" / f"{tuning_key(spec)}.json", tuned)
+
+    def _read(self, path: Path, load: Callable[[Path], T]) -> T | None:
+        """What ``load`` gives for a file; None if there is none, or it cannot be used, which is told once."""
+        try:
+            return load(path) if path.is_file() else None
+        except (ValueError, OSError) as e:
+            if path not in self._refused:
+                log.warning("%s is not used, and computed again: %s", path, e)
+            self._refused.add(path)
+            return None
 
 
 def tuning_key(spec: RunSpec) -> str:

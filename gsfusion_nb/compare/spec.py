@@ -15,7 +15,7 @@ from ..checks import check_number, shown
 from ..config import to_dict
 from ..config.values import check_kinds, within
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
-from ..files import read_object, write_file
+from ..files import read_sealed, write_sealed
 from ..mapping import get_system
 from ..seeding import Option, SeedingRule, get_rule
 from ..seeding.rule_code import rule_of_source
@@ -310,18 +310,25 @@ class RunResult:
         return cls(**{**values, "spec": RunSpec.from_json(values["spec"])})
 
     def save(self, path: Path) -> None:
-        """Write the result to a JSON file, completely or not at all."""
-        write_file(path, json.dumps(self.to_json(), indent=1, allow_nan=False))
+        """Write the result to a JSON file with a checksum, completely or not at all."""
+        write_sealed(path, self.to_json())
 
     @classmethod
-    def load(cls, path: Path) -> "RunResult":
+    def load(cls, path: Path, *, key: str = "") -> "RunResult":
         """Read what ``save`` wrote.
 
+        Args:
+            path: The file.
+            key: Of the run that it must be the result of; empty: any.
+
         Raises:
-            ValueError: the file is damaged or from another version. FileNotFoundError: no such file.
+            ValueError: the file is damaged, was changed, or is from another version or of another run.
+            FileNotFoundError: no such file.
         """
-        document = read_object(path, "the result of a run of the lab")
+        document = read_sealed(path, "the result of a run of the lab")
+        if key and document.get("key") != key:
+            raise ValueError(f"{path} is the result of another run, with the key {shown(document.get('key'))}")
         try:
             return cls.from_json(document)
-        except (TypeError, KeyError) as e:
+        except (TypeError, KeyError, AttributeError) as e:
             raise ValueError(f"{path} is not the result of a run of the lab: {e}") from None

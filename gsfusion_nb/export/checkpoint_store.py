@@ -3,14 +3,17 @@
 For each checkpoint n a folder holds ``n.state`` (the state) and ``n.constants`` (what earlier checkpoints do not have
 of images, and of large tensors in parts of some rows), both as torch saves them, and ``n.json``, which lists every file
 that the checkpoint needs with its SHA-256. ``n.json`` is written last; until then the previous checkpoint is the valid
-one, and it is kept until the next is complete.
+one, and it is kept until the next is complete. Several checkpoints need the same ``n.constants``, so each has a copy,
+``n.copy``, which is read if it is damaged; on a disk that is nearly full there is none.
 
 No code from the files is executed when they are read.
 """
 
+import contextlib
 import hashlib
 import json
 import re
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -25,6 +28,7 @@ from ..checks import shown
 from ..files import (
     LEAST_MEMORY_BYTES,
     MOST_MEMORY_PER_BYTE,
+    DiskFullError,
     atomic_file,
     open_regular,
     read_object,
@@ -39,6 +43,8 @@ _CONSTANT, _PARTS = "$constant", "$parts"
 _COPIED_BYTES, _PART_BYTES = 1 << 16, 1 << 23
 """Of larger tensors the memory is written as it is; still larger ones are written in parts of this size."""
 _NAME = re.compile(r"\d{6}\.(state|constants)")
+_ROOM_FOR_COPY = 4
+"""A file of constants is copied where the disk has room for so many of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +55,8 @@ class Loaded:
     number: int
     passed_over: str
     """Why a later checkpoint could not be used; empty if this is the latest."""
+    copies: list[str]
+    """Which of its files are damaged, so that their copies were read, as sentences."""
 
 
 class CheckpointStore:
@@ -106,11 +114,12 @@ class CheckpointStore:
         if fresh:
             name = f"{number:06d}.constants"
             files[name] = self._write(name, fresh)
+            self._copy(name)
         name = f"{number:06d}.state"
         document = {"format": FORMAT, "version": VERSION, "files": files | {name: self._write(name, tree)}}
         write_file(self.folder / f"{number:06d}.json", json.dumps(document))
         wanted = {*document["files"], f"{number:06d}.json"}
-        self._remove_all_but(wanted | self._before)
+        self._remove_all_but(_with_copies(wanted | self._before))
         self._number, self._constants, self._files, self._before = number, used, files, wanted
         self._parts = self._worth_keeping(parts, number, len(fresh))
 
@@ -131,13 +140,14 @@ class CheckpointStore:
         problems: list[str] = []
         for number in sorted(self._numbers(), reverse=True):
             path = self.folder / f"{number:06d}.json"
+            copies: list[str] = []
             try:
-                state, files = self._read(path)
+                state, files = self._read(path, copies)
             except Exception as e:  # damaged content can cause any error
                 problems.append(f"{path} cannot be used ({reason_of(e)})")
                 continue
             self._before = {path.name, *files}
-            return Loaded(state=state, number=number, passed_over="; ".join(problems))
+            return Loaded(state=state, number=number, passed_over="; ".join(problems), copies=copies)
         if not problems:
             raise FileNotFoundError(f"{self.folder} holds no checkpoint")
         raise ValueError("; ".join(problems))
@@ -170,7 +180,35 @@ class CheckpointStore:
             file.seek(0)
             return hashlib.file_digest(file, "sha256").hexdigest()
 
-    def _read(self, path: Path) -> tuple[dict[str, Any], list[str]]:
+    def _copy(self, name: str) -> None:
+        """Copy a file of constants beside it, if the disk has room for it and for what comes after it."""
+        size = (self.folder / name).stat().st_size
+        if shutil.disk_usage(self.folder).free < _ROOM_FOR_COPY * size:
+            return
+        with contextlib.suppress(DiskFullError), atomic_file(self.folder / _copy_of(name)) as temporary:
+            shutil.copyfile(self.folder / name, temporary)
+
+    def _intact(self, name: str, digest: str, copies: list[str]) -> Path:
+        """The file of this name, or its copy if it is damaged, which is then told in ``copies``.
+
+        Raises:
+            ValueError, OSError: neither is intact.
+        """
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"expected a file name like 000001.state, got {shown(name)}")
+        try:
+            return _checked(self.folder / name, digest)
+        except (ValueError, OSError) as e:
+            try:
+                copy = _checked(self.folder / _copy_of(name), digest)
+            except (ValueError, OSError):
+                raise e from None
+            copies.append(
+                f"{self.folder / name} is damaged ({reason_of(e)}); its copy, which is intact, is used instead"
+            )
+            return copy
+
+    def _read(self, path: Path, copies: list[str]) -> tuple[dict[str, Any], list[str]]:
         document = read_object(path, "a checkpoint", objects=("files",))
         if document.get("format") != FORMAT or document.get("version") != VERSION:
             raise ValueError(
@@ -179,22 +217,19 @@ class CheckpointStore:
             )
         constants: dict[str, Tensor] = {}
         state: Any = None
+        used: list[Path] = []
         for name, digest in document["files"].items():
-            if not _NAME.fullmatch(name):
-                raise ValueError(f"expected a file name like 000001.state, got {shown(name)}")
-            with open_regular(self.folder / name, "a part of a checkpoint") as file:
-                if hashlib.file_digest(file, "sha256").hexdigest() != digest:
-                    raise ValueError(f"the checksum of {name} is wrong")
-                file.seek(0)
+            source = self._intact(name, digest, copies)
+            with open_regular(source, "a part of a checkpoint") as file:
                 mapped = sys.platform != "win32"  # more than memory may hold
-                source = self.folder / name if mapped else file
-                content = torch.load(source, map_location="cpu", weights_only=True, mmap=mapped)
+                content = torch.load(source if mapped else file, map_location="cpu", weights_only=True, mmap=mapped)
                 _check_buffers(content, name)
+            used.append(source)
             if name.endswith(".constants"):
                 constants |= content
             else:
                 state = content
-        size = sum((self.folder / name).stat().st_size for name in document["files"])
+        size = sum(source.stat().st_size for source in used)
         joined = _joined_bytes(state, constants)
         if joined > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
             raise ValueError(f"its files of {size / 1e6:.1f} MB ask for {joined / 1e9:.1f} GB of memory")
@@ -207,6 +242,22 @@ class CheckpointStore:
         for path in self.folder.iterdir():
             if path.name not in wanted and re.fullmatch(r"\.?\d{6}\.[\w.]+", path.name):
                 path.unlink()
+
+
+def _copy_of(name: str) -> str:
+    return f"{name.partition('.')[0]}.copy"
+
+
+def _with_copies(names: set[str]) -> set[str]:
+    return names | {_copy_of(name) for name in names if name.endswith(".constants")}
+
+
+def _checked(path: Path, digest: str) -> Path:
+    """The path, if the content of the file has this SHA-256. Raises ``ValueError`` if it has not."""
+    with open_regular(path, "a part of a checkpoint") as file:
+        if hashlib.file_digest(file, "sha256").hexdigest() != digest:
+            raise ValueError(f"the checksum of {path.name} is wrong")
+    return path
 
 
 def _plain(value: Any, name: str, stored: Callable[[Tensor], Any]) -> Any:

@@ -77,6 +77,10 @@ class StepClock:
         self._steps.value = count
         self.catch_up()
 
+    def copy(self) -> "StepClock":
+        """A clock of its own that stands at the same steps."""
+        return StepClock(StepCount(self.count), self.birth.clone(), self.last.clone())
+
     def part(self, rows: Int[Tensor, " M"]) -> "StepClock":
         """A clock of its own for copies of some rows; ``write_back`` brings it home."""
         return StepClock(StepCount(self.count), self.birth[rows], self.last[rows])

@@ -151,6 +151,22 @@ def check_plausible_camera(source: str, camera: Camera) -> None:
             raise ValueError(f"{source}: {name} must be between {low:g} and {high:g} for {size}, got {value:g}")
 
 
+def check_rays(source: str, camera: Camera) -> None:
+    """Raise ``ValueError`` if a ray runs further sideways than those of any plausible camera; a picture may be small.
+
+    The sentence begins with ``source``.
+    """
+    most = CENTRE_SIDES[1] / FOCAL_PER_SIDE[0]
+    sides = (("x", camera.fx, camera.cx, camera.width), ("y", camera.fy, camera.cy, camera.height))
+    for axis, focal, centre, size in sides:
+        sideways = max(abs(centre), abs(size - centre)) / focal
+        if not sideways <= most:
+            raise ValueError(
+                f"{source}: f{axis} = {focal:g} and c{axis} = {centre:g} make a ray run {sideways:.3g} m sideways per "
+                f"metre of depth; expected at most {most:g}"
+            )
+
+
 def check_place(source: str, T_WC: Float[Tensor, "4 4"]) -> None:
     """Raise ``ValueError`` if the camera is too far from the origin; the sentence begins with ``source``."""
     if float(T_WC[:3, 3].abs().max()) > MAX_DISTANCE_M:

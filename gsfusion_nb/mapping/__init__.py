@@ -4,7 +4,6 @@ from .gps_slam import GPSSLAM as GPSSLAM
 from .gsfusion import GSFusion as GSFusion
 from .mapper import Mapper as Mapper
 from .rtg_slam import RTGSLAM as RTGSLAM
-from .step import DelayedInterrupt as DelayedInterrupt
 from .step import FrameUndone as FrameUndone
 from .step import GlobalStep as GlobalStep
 from .step import HalfMappedError as HalfMappedError

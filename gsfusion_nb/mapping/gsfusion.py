@@ -1,6 +1,7 @@
 """GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in the paper's order."""
 
 import bisect
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from jaxtyping import Float
@@ -13,7 +14,8 @@ from ..optim import Keyframe, ViewLoss, adam_step, add_penalties_, depth_l1, dep
 from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, rule_name
 from ..tsdf import FusedView, fuse_frame_
-from ..types import Frame, RenderOutput
+from ..types import Camera, Frame, RenderOutput
+from .few_seeds import LOOKED_AT, why_few
 from .step import StepReport, ViewStep, as_floats
 from .training import KeyframeFits
 from .tsdf_mapping import TsdfMapping
@@ -48,6 +50,8 @@ class GSFusion(TsdfMapping):
         optim = self.config.optim
         self.fits = KeyframeFits(optim, self.localiser) if optim.refine_poses or optim.fit_exposure else None
         """What the passes after the scan fit to keyframes besides the Gaussians, if anything."""
+        self._camera: Camera | None = None
+        """Of the last frame; None before the first, and after a resume until the next."""
 
     def map_frame(self, frame: Frame) -> StepReport:
         """Fuse, propose seeds, append, optimise (paper Fig. 2, section III-B).
@@ -56,6 +60,7 @@ class GSFusion(TsdfMapping):
         be undone. The rule sees a preview of the fused volume (``FusedView``), with the same values, and the
         optimisation does not read the volume, so the maps are those of the paper's order.
         """
+        self._camera = frame.camera
         with self.clock("tsdf"):
             missing = self._make_room(frame)  # III-B.1, the blocks
         with self.clock("seeding"):
@@ -99,6 +104,21 @@ class GSFusion(TsdfMapping):
         """Number of passes of the global optimisation in the settings."""
         return self.config.optim.global_iterations
 
+    def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
+        """Also why the first frames have given hardly any Gaussians, or no keyframe."""
+        said = super().step_warnings(frame, report)
+        why = self._why_few() if self.n_frames == LOOKED_AT else ""
+        return [*said, why] if why else said
+
+    def run_notes(self, steps: Sequence[StepReport]) -> list[str]:
+        """Also why the map has hardly any Gaussians, or no keyframe; a map without any is told elsewhere."""
+        why = self._why_few() if len(self.gaussians) else ""
+        return [*super().run_notes(steps), *([why] if why else [])]
+
+    def _why_few(self) -> str:
+        n_gaussians, n_keyframes = len(self.gaussians), len(self.keyframes)
+        return why_few(self.config, self._camera, self.n_frames, n_gaussians, n_keyframes)
+
     def quadtree_cells(self, frame: Frame) -> Cells:
         """The quadtree of the frame's image (section III-B.1)."""
         return self.seed_context(frame).quadtree_cells()
@@ -137,6 +157,19 @@ class GSFusion(TsdfMapping):
         if self.fits is not None and not self.passes.queue:
             self.fits.end_pass(self.keyframes, self.gaussians)
         return loss
+
+    def _undo(self) -> Callable[[], None]:
+        """Also the poses that pictures refine."""
+        undo_map = super()._undo()
+        if self.fits is None:
+            return undo_map
+        poses = self.localiser.refined_poses()
+
+        def undo() -> None:
+            undo_map()
+            self.localiser.take_back_refined(poses)
+
+        return undo
 
     @observed
     def _optimise_view(self, view: Frame | Keyframe, ssim_weight: float = 0.0, fits: bool = False) -> ViewStep:

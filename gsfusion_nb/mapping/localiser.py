@@ -54,7 +54,7 @@ class Localiser:
         """Index, time and given pose of the frame mapped last, and of one refused since: the next may go on there."""
         self._tracker = tracking.Tracker(config)
         self._found: Any = None
-        """State of the tracker before the frame that it tracked last, until that frame is recorded."""
+        """State of the tracker before the frame that it was given last, until that frame is recorded or refused."""
         self._back_end: tracking.BackEnd | None = None
         self._map: tracking.LandmarkMap | None = None
         """Keyframes and landmarks, where the front end or the back end uses landmarks; the back end's, if there is
@@ -84,6 +84,17 @@ class Localiser:
         if self.poses[row] is self.given[row]:
             self.poses[row] = self._kept(self.given[row])
         self.poses[row].copy_(T_WC)
+
+    def refined_poses(self) -> tuple[list[Float[Tensor, "4 4"]], list[Float[Tensor, "4 4"]]]:
+        """The poses of now, and copies of their values, for ``take_back_refined``."""
+        return list(self.poses), [pose.clone() for pose in self.poses]
+
+    def take_back_refined(self, before: tuple[list[Float[Tensor, "4 4"]], list[Float[Tensor, "4 4"]]]) -> None:
+        """Undo what ``refine`` and ``follow`` have changed since ``refined_poses``."""
+        poses, values = before
+        self.poses = list(poses)
+        for pose, value in zip(self.poses, values, strict=True):
+            pose.copy_(value)
 
     def follow(self, rows: list[int]) -> None:
         """Refine the frames between those with the numbers ``rows``, which were refined: each by what they were."""
@@ -132,7 +143,8 @@ class Localiser:
         if not self.is_tracking:
             self._check_jump(frame)
             return frame
-        before, (seen, guess) = self._tracker.standing, self._see(frame)
+        self._found = self._tracker.standing
+        seen, guess = self._see(frame)
         try:
             if seen is None:
                 found = self._tracker.track(frame, surface, self._relocalise)
@@ -141,7 +153,6 @@ class Localiser:
                 found = self._tracker.track(frame, surface, self._relocalise, extra, guess)
         except tracking.TrackingLostError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
-        self._found = before
         fit = found.icp
         self.report = {
             "status": found.status,
@@ -162,10 +173,15 @@ class Localiser:
                 "pose is right: --tracking.pose-jumps map"
             )
 
-    def take_back(self) -> None:
-        """Undo the last ``locate``, because its frame was not mapped."""
-        if self._found is not None:
-            self._tracker.standing, self._found = self._found, None
+    def take_back(self, *, was_refused: bool = False) -> None:
+        """Undo the last ``locate``, because its frame was not mapped.
+
+        Args:
+            was_refused: The frame cannot be used. A frame that could not be tracked then counts as lost.
+        """
+        if self._found is not None and not (was_refused and not self.report):
+            self._tracker.standing = self._found
+        self._found = None
 
     def record(self, frame: Frame) -> tracking.Correction | None:
         """Add a mapped frame to the trajectory. If it closed a loop, returns the correction (applied to ``poses``)."""

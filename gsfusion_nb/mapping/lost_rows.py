@@ -20,6 +20,15 @@ class LostRows:
         """Of these, those of the frame that is mapped, or of the passes after the scan."""
         self._sums: list[Tensor] = []
 
+    @property
+    def counts(self) -> tuple[int, int]:
+        """``total`` and ``in_frame``."""
+        return self.total, self.in_frame
+
+    @counts.setter
+    def counts(self, counts: tuple[int, int]) -> None:
+        self.total, self.in_frame = counts
+
     def begin_frame(self) -> None:
         """From now on steps belong to another frame."""
         self.in_frame = 0

@@ -19,7 +19,9 @@ from torch import Tensor
 from ..backends import runs_learners_code
 from ..checks import shown
 from ..config import OptimConfig, SystemConfig, from_run, to_dict
+from ..files import BadFrameError
 from ..gaussians import GaussianModel
+from ..interrupts import DelayedInterrupt, undisturbed
 from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose, params_now, take_missed_steps
 from ..render import Boxes, drawn_in_part, render
 from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, move_memory, rule_name
@@ -142,6 +144,8 @@ class Mapper(ABC):
         """Views of the last steps of this frame, and the rows that they changed."""
         self._steps_missed = False
         """Whether rows may have missed steps."""
+        self._finished_scan = -1
+        """Number of frames after which the trajectory was last made ready for the passes after the scan."""
         self.lost = LostRows()
         """How many Gaussians a step made NaN or infinite."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
@@ -170,9 +174,11 @@ class Mapper(ABC):
     def n_passes(self) -> int:
         """Number of passes of the optimisation after the scan in the settings."""
 
-    @in_usual_torch
     def step(self, frame: Frame) -> StepReport:
         """Map one frame, all of it or nothing: check it, find its pose, map it (``map_frame``), record its pose.
+
+        Ctrl-C ends it at any place before the frame changes the map, or between two of its gradient steps if it can be
+        undone; else it takes effect after the frame.
 
         Raises:
             BadFrameError: the frame cannot be used (``check_frame``), tracking is lost, or it is too far away for the
@@ -181,18 +187,48 @@ class Mapper(ABC):
             RuntimeError: another thread is in a step, or an earlier frame was only half mapped. The map is unchanged.
             Exception: any error that the seeding rule raised. The map is unchanged.
         """
-        with self._whole_frame(frame):
+        with DelayedInterrupt(), usual_torch():
+            with self.watch(frame.index), self.guard.while_mapping(frame.index):
+                report = self._mapped_whole(frame)
+            MAP_MEMORY.give_back()
+            return dataclasses.replace(report, tracking=self.localiser.report, seconds=self.clock.seconds)
+
+    def _mapped_whole(self, frame: Frame) -> StepReport:
+        """Map a frame; if what comes before ``changes`` fails, or an undoable change, all is as it was before."""
+        random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
+        try:
+            DelayedInterrupt.allow()
             self.clock = StageClock()
             self.lost.begin_frame()
             frame = check_frame(changeable(frame), self.device, needs_depth=self.needs_depth)
             with self.clock("tracking"):
                 frame = self.localiser.locate(frame, self.tracking_surface)
             report = self.map_frame(frame)
+            DelayedInterrupt.delay()
+            self._changes_stay()
             with self.clock("tracking"):
                 self._record(frame)
             self.n_frames += 1
-        MAP_MEMORY.give_back()
-        return dataclasses.replace(report, tracking=self.localiser.report, seconds=self.clock.seconds)
+        except BaseException as error:
+            self._give_up_frame(random_numbers, memory, error)
+            raise
+        self._end_frame()
+        if self.passes.begun:  # with more frames, the optimisation after the scan starts again
+            self.passes = KeyframePasses()
+        return report
+
+    @undisturbed
+    def _give_up_frame(self, random_numbers: dict[str, Tensor], memory: dict[str, Any], error: BaseException) -> None:
+        if self.guard.undo():
+            self.gaussians.end_log()
+            self.random.load_state_dict(random_numbers)
+            self.rule_in_use.set_memory(memory)
+            self.localiser.take_back(was_refused=isinstance(error, BadFrameError))
+        self._end_frame()
+
+    def _end_frame(self) -> None:
+        self.after_steps.frame_ends()
+        self._last_part = (), None  # a resumed run has none
 
     @abstractmethod
     def map_frame(self, frame: Frame) -> StepReport:
@@ -355,45 +391,48 @@ class Mapper(ABC):
                 as one of them.
         """
         passes = self.n_passes if passes is None else passes
-        if not self.passes.begun:
-            self.lost.begin_frame()
-            with usual_torch():
+        steps = self._global_steps(passes)
+        while (step := self._whole_global_step(steps)) is not None:
+            yield step
+
+    def _global_steps(self, passes: int) -> Iterator[GlobalStep]:
+        yield from self.passes.run(passes, len(self.keyframes), self.random.passes, self._watched_global_step)
+        self.take_missed_steps()
+
+    def _whole_global_step(self, steps: Iterator[GlobalStep]) -> GlobalStep | None:
+        """The next step, all of it or nothing; None: there are no more. Ctrl-C takes effect after it."""
+        with DelayedInterrupt(), usual_torch():
+            if not self.passes.begun and self._finished_scan != self.n_frames:
+                self.lost.begin_frame()
                 self.take_missed_steps()
                 self._follow(self.localiser.finish())
-        yield from self.passes.run(passes, len(self.keyframes), self.random.passes, self._watched_global_step)
-        with usual_torch():
-            self.take_missed_steps()
+                self._finished_scan = self.n_frames
+            with self.guard.while_optimising(self._undo_of_global_step()):
+                step = next(steps, None)
+            self._changes_stay()
+            return step
+
+    def _undo_of_global_step(self) -> Callable[[], None]:
+        """A function that undoes the next step of the optimisation after the scan."""
+        undo, passes, random_numbers = self._undo(), self.passes.state_dict(), self.random.state_dict()
+        memory = copy_memory(self.memory) if self.after_steps.edits else None
+
+        def undo_all() -> None:
+            undo()
+            self.passes.load_state_dict(passes)
+            self.random.load_state_dict(random_numbers)
+            if memory is not None:
+                self.rule_in_use.set_memory(memory)
+
+        return undo_all
 
     def _watched_global_step(self, i: int) -> Float[Tensor, ""]:
         self._last_part = (), None
-        with usual_torch(), self.watch(None):
+        with self.watch(None):
             loss = self._global_step(i)
             if not self.passes.queue:
                 self.remove_lost()
             return loss
-
-    @contextlib.contextmanager
-    def _whole_frame(self, frame: Frame) -> Iterator[None]:
-        """Context in which ``frame`` is mapped, all of it or nothing, by one thread at a time.
-
-        If what comes before ``changes`` fails, the random numbers, the rule's memory and the tracked pose are restored;
-        if an undoable change fails, so is the map.
-        """
-        with self.watch(frame.index), self.guard.while_mapping(frame.index):
-            random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
-            try:
-                yield
-            except BaseException:
-                if self.guard.undo():
-                    self.random.load_state_dict(random_numbers)
-                    self.rule_in_use.set_memory(memory)
-                    self.localiser.take_back()
-                raise
-            finally:
-                self.after_steps.frame_ends()
-                self._last_part = (), None  # a resumed run has none
-            if self.passes.begun:  # with more frames, the optimisation after the scan starts again
-                self.passes = KeyframePasses()
 
     @contextlib.contextmanager
     def changes(self, *, undoable: bool = False) -> Iterator[None]:
@@ -404,13 +443,16 @@ class Mapper(ABC):
                 leaves the map as it was, and Ctrl-C takes effect between two gradient steps. While foreign code runs
                 that is always so, and the whole map is kept.
         """
+        DelayedInterrupt.delay()
         foreign = self.after_steps.edits or self.training.names or runs_learners_code()
-        self.guard.changes_begin(self._undo() if undoable or foreign else None)
+        is_first = not self.n_frames  # kernels are compiled in it, which Ctrl-C ends
+        self.guard.changes_begin(self._undo() if undoable or foreign or is_first else None)
         if foreign:
             self.gaussians.will_change()
         yield
         self.remove_lost()
-        self._changes_stay()
+        if not is_first:
+            self._changes_stay()
 
     def _changes_stay(self) -> None:
         self.guard.changes_stay()
@@ -419,15 +461,16 @@ class Mapper(ABC):
     def _undo(self) -> Callable[[], None]:
         """A function that undoes what a frame changes in the map, from now on; a subclass extends it."""
         undo_rows, taken = self.gaussians.log_changes(), self.after_steps.taken
-        n_keyframes, n_lost, steps_missed = len(self.keyframes), self.lost.total, self._steps_missed
+        keyframes, lost, steps_missed = self.keyframes.snapshot(), self.lost.counts, self._steps_missed
 
         def undo() -> None:
             undo_rows()
             self.gaussians.end_log()
             self.after_steps.taken = taken
-            self.lost.total = n_lost
+            self.lost.counts = lost
             self._steps_missed = steps_missed
-            self.keyframes.cut(n_keyframes)
+            self._last_part = (), None
+            self.keyframes.restore(keyframes)
 
         return undo
 

@@ -245,6 +245,7 @@ class RTGSLAM(Mapper):
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe, on all pixels and all Gaussians, which all become stable at the first step."""
         if self._final is None:
+            self.gaussians.will_change()
             self.gaussians.state.fill_(STABLE)
             self._final = self._final_optimiser()
         keyframe = self.keyframes[i].to(self.device)
@@ -292,12 +293,21 @@ class RTGSLAM(Mapper):
     def _undo(self) -> Callable[[], None]:
         """Also the window and the optimiser of the final passes."""
         undo_map, window, final = super()._undo(), list(self.window), self._final
+        undo_adam = None if final is None else final.adam.log_changes()
 
         def undo() -> None:
             undo_map()
             self.window, self._final = deque(window, maxlen=self.window.maxlen), final
+            if final is not None and undo_adam is not None:
+                undo_adam()
+                final.adam.end_log()
 
         return undo
+
+    def _changes_stay(self) -> None:
+        super()._changes_stay()
+        if self._final is not None:
+            self._final.adam.end_log()
 
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
         """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""

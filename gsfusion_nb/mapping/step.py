@@ -2,12 +2,11 @@
 
 import contextlib
 import math
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -16,6 +15,7 @@ from torch import Tensor
 from ..checks import check_colours, check_finite, check_pose
 from ..files import BadFrameError
 from ..geometry.operands import check_place, check_plausible_camera
+from ..interrupts import DelayedInterrupt, undisturbed, while_compiling
 from ..types import Frame
 
 
@@ -176,6 +176,8 @@ class FrameGuard:
     def __init__(self):
         self.stop_wanted: Callable[[], bool] = lambda: False
         """Whether the program is asked to stop; a frame that can be undone is then given up. A run sets it."""
+        self.end_wanted: Callable[[], bool] = lambda: False
+        """Likewise, also where nothing is mapped yet; asked while kernels are compiled."""
         self.half_mapped = ""
         """Which frame was only half mapped, and why; empty if none was."""
         self._lock = threading.Lock()
@@ -202,9 +204,11 @@ class FrameGuard:
                     "(resume_mapping), or with a new mapper"
                 )
             self._index, self._changing, self._undo = index, False, None
-            with DelayedInterrupt() as self._interrupt:
+            with DelayedInterrupt() as interrupt:
+                interrupt.allow()
                 try:
-                    yield
+                    with self._heard_while_compiling():
+                        yield
                 except BaseException as e:
                     if self._changing:
                         self.half_mapped = f"frame {index} was only half mapped ({type(e).__name__}: {e})"
@@ -213,9 +217,45 @@ class FrameGuard:
             self._undo = None
             self._lock.release()
 
+    @contextlib.contextmanager
+    def while_optimising(self, undo: Callable[[], None]) -> Iterator[None]:
+        """Context for a step after the scan; if it fails, ``undo`` brings back the map before it.
+
+        Ctrl-C takes effect after the step, or at ``may_stop``.
+        """
+        with DelayedInterrupt():
+            self.changes_begin(undo)
+            try:
+                with self._heard_while_compiling():
+                    yield
+            except BaseException:
+                self.undo()
+                raise
+            finally:
+                self._changing, self._undo = False, None
+
+    @contextlib.contextmanager
+    def _heard_while_compiling(self) -> Iterator[None]:
+        """Context in which Ctrl-C ends the compilation of a kernel, if what was changed by then can be undone."""
+
+        def may_end() -> None:
+            if self._changing and self._undo is None:
+                return
+            DelayedInterrupt.deliver()
+            if self.stop_wanted():
+                raise FrameUndone
+            if self.end_wanted():
+                raise KeyboardInterrupt
+
+        while_compiling.append(may_end)
+        try:
+            yield
+        finally:
+            while_compiling.remove(may_end)
+
     def changes_begin(self, undo: Callable[[], None] | None = None) -> None:
         """Declare that the frame changes the map from here on; ``undo`` would bring back the map of now."""
-        self._interrupt.delay()
+        DelayedInterrupt.delay()
         self._changing, self._undo = True, undo
 
     def may_stop(self) -> None:
@@ -226,7 +266,7 @@ class FrameGuard:
         """
         if self._undo is None:
             return
-        self._interrupt.deliver()
+        DelayedInterrupt.deliver()
         if self.stop_wanted():
             raise FrameUndone
 
@@ -234,55 +274,11 @@ class FrameGuard:
         """Declare that what follows cannot be undone."""
         self._undo = None
 
+    @undisturbed
     def undo(self) -> bool:
         """Undo what the frame has changed; returns whether the map is now as it was before the frame."""
+        DelayedInterrupt.delay()
         if self._undo is not None:
             self._undo()
             self._changing = False
         return not self._changing
-
-
-class DelayedInterrupt:
-    """Context manager: after ``delay``, Ctrl-C and SIGTERM are delivered only when the block ends.
-
-    Of nested blocks, the outermost delivers them. It does nothing outside the main thread, where no signal arrives, nor
-    for signals that Python does not handle.
-    """
-
-    _outermost: "ClassVar[DelayedInterrupt | None]" = None
-
-    def __init__(self):
-        self._handlers: dict[int, Any] = {}
-        self._pending: list[tuple[int, Any]] = []
-
-    def __enter__(self) -> "DelayedInterrupt":
-        if threading.current_thread() is threading.main_thread() and DelayedInterrupt._outermost is None:
-            DelayedInterrupt._outermost = self
-        return self
-
-    def delay(self) -> None:
-        """Delay signals from now on."""
-        outer = DelayedInterrupt._outermost
-        if outer is None or outer._handlers or threading.current_thread() is not threading.main_thread():
-            return
-        for number in (signal.SIGINT, signal.SIGTERM):
-            if callable(signal.getsignal(number)):
-                outer._handlers[number] = signal.signal(number, lambda *signal_: outer._pending.append(signal_))
-
-    def deliver(self) -> None:
-        """Deliver the signals that have come so far, in the block; those that come later wait again."""
-        outer = DelayedInterrupt._outermost
-        if outer is None or threading.current_thread() is not threading.main_thread():
-            return
-        while outer._pending:
-            number, frame = outer._pending.pop(0)
-            outer._handlers[number](number, frame)
-
-    def __exit__(self, *_: object) -> None:
-        if DelayedInterrupt._outermost is not self:
-            return
-        DelayedInterrupt._outermost = None
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
-        for number, frame in self._pending:
-            self._handlers[number](number, frame)

@@ -231,6 +231,7 @@ class KeyframeFits:
         rows = sorted(self._localiser.frame_indices.index(k.index) for k in keyframes)
         T_WC, T_given = (torch.stack([p[r] for r in rows]).double() for p in (poses, given))
         back = se3.exp(-se3.log(T_WC @ se3.inverse(T_given)).mean(0))
+        gaussians.will_change()
         gaussians.move(back.to(gaussians.device, torch.float32).expand(len(gaussians), 4, 4))
         for keyframe in list(keyframes):
             row = self._localiser.frame_indices.index(keyframe.index)

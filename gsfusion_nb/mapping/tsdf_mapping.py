@@ -1,6 +1,7 @@
 """What mappers with a TSDF have in common: the volume, its surface and mesh, and the frames that a loop may move."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -171,6 +172,19 @@ class TsdfMapping(Mapper):
         super()._load(state)
         self.volume.load_state_dict(state["volume"])
         self.fused.load_state(state["fused"])
+
+    def _undo(self) -> Callable[[], None]:
+        """Of the first frame also the TSDF, which is fused last."""
+        undo_rows, was_empty = super()._undo(), not self.n_frames
+
+        def undo() -> None:
+            undo_rows()
+            if was_empty:
+                volume = self.volume
+                limit = volume.memory_limit_bytes
+                self.volume = TsdfVolume(volume.config, volume.device, memory_limit_bytes=limit)
+
+        return undo
 
     def _report(self, *args: Any, **fields: Any) -> StepReport:
         return super()._report(*args, n_blocks=self.volume.n_blocks, **fields)

@@ -434,6 +434,34 @@ class RowAdam:
         } | {"sh": sh_rates.expand(-1, 3)}
         self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
         self.clock = StepClock.of_new_rows(len(params), params.xyz_W.device)
+        self._log: list[tuple[Any, dict[str, list[Tensor]]]] | None = None
+        """Rows, and their parameters and moments, before each change since ``log_changes``."""
+
+    def log_changes(self) -> Callable[[], None]:
+        """From now on changes are kept, until ``end_log``. Returns a function that undoes them."""
+        log = self._log = []
+        clock = self.clock.copy()
+
+        def undo() -> None:
+            for rows, columns in reversed(log):
+                for name, values in columns.items():
+                    for column, before in zip(self._columns(name), values, strict=True):
+                        column[rows] = before
+            self.clock = clock
+
+        return undo
+
+    def end_log(self) -> None:
+        """What changes from now on cannot be undone."""
+        self._log = None
+
+    def _columns(self, name: str) -> list[Tensor]:
+        """A parameter and its moments."""
+        return [getattr(self.params, name), *self._moments[name]]
+
+    def _will_change(self, rows: Int[Tensor, " R"] | slice) -> None:
+        if self._log is not None:
+            self._log.append((rows, {name: [c[rows].clone() for c in self._columns(name)] for name in self._rates}))
 
     @property
     def steps(self) -> int:
@@ -443,8 +471,10 @@ class RowAdam:
     def catch_up(self, rows: Int[Tensor, " R"]) -> None:
         """Take the steps that these rows missed, each with zero gradient, as ``take_missed_steps`` does."""
         late, caught_up = self._caught_up(rows)
+        if len(late):
+            self._will_change(late)
         for name, columns in caught_up.items():
-            for column, values in zip((getattr(self.params, name), *self._moments[name]), columns, strict=True):
+            for column, values in zip(self._columns(name), columns, strict=True):
                 column[late] = values
         self.clock.catch_up(late)
 
@@ -466,7 +496,7 @@ class RowAdam:
         caught_up = {}
         for name, lr in self._rates.items():
             factor = self._factors.get(name)
-            param, m, v = (column[late] for column in (getattr(self.params, name), *self._moments[name]))
+            param, m, v = (column[late] for column in self._columns(name))
             steps.take(param, m, v, lr, None if factor is None else factor[late])
             caught_up[name] = [param, m, v]
         return late, caught_up
@@ -478,6 +508,7 @@ class RowAdam:
             gradients: Of ``params``, or of their ``rows``; further rows of it are ignored.
             rows: Update only these, each once; the others keep their values and moments (``catch_up``). None: all. [R]
         """
+        self._will_change(slice(None) if rows is None else rows)
         self.clock.step(slice(None) if rows is None else rows)
         params = self.params if rows is None else self.params[rows]
         factors = self._factors if rows is None else {name: f[rows] for name, f in self._factors.items()}

@@ -129,10 +129,15 @@ class KeyframeList:
         """Add ``frame`` as a keyframe, with its depth if ``with_depth``."""
         self._keep(Keyframe.of(frame, with_depth=with_depth))
 
-    def cut(self, count: int) -> None:
-        """Keep only the first ``count`` keyframes."""
-        del self._items[count:]
-        self._poses = self._poses[:count]
+    def snapshot(self) -> tuple[list[Keyframe], int]:
+        """The keyframes of now, for ``restore``; a keyframe itself never changes."""
+        return list(self._items), self._bytes_kept
+
+    def restore(self, snapshot: tuple[list[Keyframe], int]) -> None:
+        """Go back to the keyframes of a ``snapshot``."""
+        items, self._bytes_kept = snapshot
+        self._items = list(items)
+        self._poses = self._poses[:0]
 
     def move(self, T: Float[Tensor, "K 4 4"]) -> None:
         """Apply a rigid motion to each keyframe's pose (a loop closure)."""

@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -28,9 +28,6 @@ from .run_folder import CHECKPOINTS, NOT_SAVED, Autosave, CheckpointEvery, RunFo
 from .stream_run import StreamRun
 
 log = logging.getLogger(__name__)
-
-_TRANSIENT = ("interrupted after ", "interrupted while ", "ended by ")
-"""First words of warnings that no longer hold once a run is resumed."""
 
 
 def run_mapping(
@@ -118,7 +115,6 @@ def resume_mapping(
         raise FileNotFoundError(f"{folder} does not exist; expected the folder of an interrupted run")
     with RunFolder(folder) as place:
         run = load_run(folder, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
-        run.warnings = [w for w in run.warnings if not w.startswith(_TRANSIENT)]
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
 
 
@@ -168,6 +164,7 @@ def drive(
         watch: Sees every mapped frame and the finished maps.
         every: How often to save a checkpoint.
     """
+    run.go_on()
     run.watchers += [watch] if watch is not None else []
     stop = StopRequest()
     outputs.write_rule(run, folder)
@@ -203,30 +200,42 @@ def _work(
 
     A request to stop takes effect between two gradient steps of a frame, except of the first.
     """
-    run.mapper.guard.stop_wanted = lambda: bool(stop) and len(run.steps) > 0
-    try:
+    with _heard_between_steps(run, stop):
         map_frames(run, stop)
-    finally:
-        run.mapper.guard.stop_wanted = lambda: False
     if evaluate and not (stop or run.mapper.passes.begun or run.is_optimised) and run.mapper.n_passes:
         with stop.ending_at_once():
             online = outputs.score(run, "_online")
             run.online_scores = {k: online[k] for k in ONLINE if isinstance(online[k], float)}
     if run.status == "running" and not (stop or run.is_optimised):
-        _with_progress_of_passes(run, stop)
+        with _heard_between_steps(run, stop):
+            _with_progress_of_passes(run, stop)
     if stop:
         run.status = "interrupted"
         of_all = f" of {len(run.sequence.mapping)}" if run.resumable else ""
-        run.warnings.append(
+        run.note_ending(
             f"interrupted after {len(run.steps)}{of_all} frames and "
             f"{run.mapper.passes.done} global passes; everything mapped so far is saved"
         )
     elif run.status == "running":
         run.status = "complete"
     if not stop:
-        run.warnings += [note for note in run.mapper.run_notes(run.steps) if note not in run.warnings]
+        for note in run.mapper.run_notes(run.steps):
+            run.note_ending(note)
     if run.steps and not len(run.mapper.gaussians):
-        run.warnings.append(_why_empty(run))
+        run.note_ending(_why_empty(run))
+
+
+@contextlib.contextmanager
+def _heard_between_steps(run: MappingRun, stop: StopRequest) -> Iterator[None]:
+    """Context in which a request to stop takes effect between two gradient steps, if there is a map; and while kernels
+    are compiled, also if there is none."""
+    guard = run.mapper.guard
+    guard.stop_wanted = lambda: bool(stop) and len(run.steps) > 0
+    guard.end_wanted = lambda: bool(stop)
+    try:
+        yield
+    finally:
+        guard.stop_wanted = guard.end_wanted = lambda: False
 
 
 def _score(run: MappingRun, folder: Path, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]) -> None:
@@ -240,16 +249,16 @@ def _score(run: MappingRun, folder: Path, stop: StopRequest, mesh: Mesh, metrics
         metrics |= outputs.score_centres(run, mesh)
     if stop and not already:
         run.status = "interrupted"
-        run.warnings.append("interrupted while the views were scored; the maps are complete")
+        run.note_ending("interrupted while the views were scored; the maps are complete")
         _checkpoint(run, folder, stop)
 
 
 def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseException) -> None:
     """Save what can be saved of a run that ends with ``error``, and say so in a note added to the error."""
     run.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
-    run.warnings.append(f"ended by {type(error).__name__}: {error}")
+    run.note_ending(f"ended by {type(error).__name__}: {error}")
     if run.mapper.guard.half_mapped:
-        run.warnings.append(run.mapper.guard.half_mapped)
+        run.note_ending(run.mapper.guard.half_mapped)
     notes: list[str] = []
     attempts: list[Callable[[], Any]] = [lambda: _checkpoint(run, folder, stop), lambda: _save(run, folder, stop)]
     for attempt in attempts if run.steps else ():

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -16,9 +16,11 @@ from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView
 from ..data.stream import read_ahead
 from ..export import CheckpointStore
 from ..geometry import se3
-from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
+from ..interrupts import DelayedInterrupt
+from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..seeding.rule_code import file_source
 from ..types import Frame, Mesh
+from .ran_on import ran_on
 from .run_folder import CHECKPOINTS, StepLog, packed, random_state
 
 log = logging.getLogger(__name__)
@@ -27,6 +29,8 @@ MAX_BAD_FRAMES_IN_A_ROW = 20
 """After more unusable frames in a row than this, the run stops; a lost camera is looked for until the end."""
 READ_AHEAD = 4
 """Number of frames of a recording on disk that another thread decodes in advance."""
+_ENDINGS = ("interrupted after ", "interrupted while ", "ended by ")
+"""First words of the endings in checkpoints of versions that did not tell them from other warnings."""
 _PLAIN = (
     "global_losses", "online_scores", "warnings", "next_position", "bad_in_a_row", "seconds_global", "is_optimised"
 )  # fmt: skip
@@ -98,6 +102,10 @@ class MappingRun:
         self.hashes: dict[str, str] = {}
         """SHA-256 of each written map."""
         self.warnings: list[str] = []
+        """What the user should know, as sentences."""
+        self.endings: list[str] = []
+        """Those of ``warnings`` that are about how the run ended, or about its map at the end. A run that goes on
+        forgets them."""
         for note in self.mapper.notes:
             self._warn(note)
         if not has_poses(sequence) and len(sequence.held_out):
@@ -145,55 +153,60 @@ class MappingRun:
         """
         frames = self.frames()
         try:
-            while True:
-                try:
-                    frame = next(frames)
-                    report = self._map(frame)
-                except StopIteration:
-                    break
-                except FrameUndone:  # the run is asked to stop
-                    return
-                except SequenceError as e:
-                    if not self._can_go_on(e):
-                        raise
-                    if self._skip(e):
-                        continue
-                    break
-                for sentence in self.mapper.step_warnings(frame, report):
-                    self._warn(sentence)
-                for watcher in self.watchers:
-                    watcher.frame_mapped(self.mapper, frame, report)
-                self.after_step()
-                yield report
+            while (taken := self._next_step(frames)) != "end":
+                if isinstance(taken, StepReport):
+                    self.after_step()
+                    yield taken
+        except FrameUndone:  # the run is asked to stop
+            return
         finally:
             frames.close()
         if not self.steps:
             raise SequenceError(self._why_nothing())
 
-    def _map(self, frame: Frame) -> StepReport:
-        """Map a frame and count it; Ctrl-C takes effect only after both."""
+    def _next_step(self, frames: Frames) -> StepReport | Literal["skipped", "end"]:
+        """Map the next frame and count it, or skip it; Ctrl-C takes effect before both or after both."""
+        try:
+            frame = next(frames)
+        except StopIteration:
+            return "end"
+        except SequenceError as e:
+            return self._skip(e)
         with DelayedInterrupt():
-            report = self.mapper.step(frame)
+            try:
+                report = self.mapper.step(frame)
+            except SequenceError as e:
+                return self._skip(e)
             self.bad_in_a_row = 0
             self.steps.append(report)
             self.timestamps_s.append(frame.timestamp_s)
             self._passed(frame)
+            for sentence in self.mapper.step_warnings(frame, report):
+                self._warn(sentence)
+        for watcher in self.watchers:
+            watcher.frame_mapped(self.mapper, frame, report)
         return report
 
-    def _skip(self, error: SequenceError) -> bool:
-        """Record a frame that could not be used; returns whether to continue with the next."""
+    def _skip(self, error: SequenceError) -> Literal["skipped", "end"]:
+        """Record a frame that could not be used; "end": there were too many in a row.
+
+        Raises:
+            SequenceError: ``error``, if it concerns more than one frame.
+        """
+        if not self._can_go_on(error):
+            raise error
         self.bad_in_a_row += 1
         self._passed(None)
         if self.bad_in_a_row <= MAX_BAD_FRAMES_IN_A_ROW:
             self._warn(f"skipped a frame: {error}")
-            return True
+            return "skipped"
         if self.mapper.localiser.frames_lost:
             if self.bad_in_a_row == MAX_BAD_FRAMES_IN_A_ROW + 1:
                 self._warn("tracking is lost; the camera is looked for in every frame until the recording ends")
-            return True
+            return "skipped"
         self.status = "stopped"
         self._warn(f"stopped after {self.bad_in_a_row} unusable frames in a row; everything mapped before is kept")
-        return False
+        return "end"
 
     def frames(self) -> Frames:
         """The remaining frames; those on disk are decoded in advance."""
@@ -222,23 +235,33 @@ class MappingRun:
 
     def optimise(self) -> Iterator[GlobalStep]:
         """Run the remaining passes of the global optimisation, continuing an interrupted pass."""
-        passes = self.mapper.n_passes - self.mapper.passes.done
+        steps = self.mapper.global_optimise(self.mapper.n_passes - self.mapper.passes.done)
         lost = self.mapper.lost
         n_lost, said = lost.total, False
+        try:
+            while (step := self._next_global_step(steps)) is not None:
+                if lost.total > n_lost and not self.mapper.passes.queue and not said:
+                    self._warn(lost.in_words(f"pass {self.mapper.passes.done} over the keyframes"))
+                    said = True
+                self.after_step()
+                yield step
+        except FrameUndone:  # the run is asked to stop
+            return
+
+    def _next_global_step(self, steps: Iterator[GlobalStep]) -> GlobalStep | None:
+        """Take a step and count it, or note that there are no more; Ctrl-C takes effect after both."""
         start = time.perf_counter()
-        for step in self.mapper.global_optimise(passes):
+        with DelayedInterrupt():
+            step = next(steps, None)
+            if step is None:
+                self.is_optimised = True
+                return None
             self._pass_losses.append(step.loss_value)
             if not self.mapper.passes.queue:
                 self.global_losses.append(float(torch.stack(self._pass_losses).mean()))
                 self._pass_losses = []
-                if lost.total > n_lost and not said:
-                    self._warn(lost.in_words(f"pass {self.mapper.passes.done} over the keyframes"))
-                    said = True
             self.seconds_global += time.perf_counter() - start
-            self.after_step()
-            yield step
-            start = time.perf_counter()
-        self.is_optimised = True
+            return step
 
     def save_checkpoint(self, folder: Path) -> None:
         """Write a checkpoint to ``folder``, from which the run can be resumed; only what has changed is written."""
@@ -248,6 +271,7 @@ class MappingRun:
             "source": self.source or self.stream(),
             "mapper": self.mapper.state_dict(copies=False),
             "rule_from_file": bool(file_source(self.mapper.rule)),
+            "ran_on": ran_on(self.mapper.device),
             "random": random_state(),
         }
         if self.store is None or self.store.folder != folder / CHECKPOINTS:
@@ -274,6 +298,7 @@ class MappingRun:
             "steps": self._step_log.state_dict(self.steps),
             "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),
             "timestamps_s": torch.tensor(self.timestamps_s, dtype=torch.float64),
+            "endings": list(self.endings),
             **{name: copy.copy(getattr(self, name)) for name in _PLAIN},
         }
 
@@ -284,6 +309,8 @@ class MappingRun:
         self.timestamps_s = state["timestamps_s"].tolist()
         for name in _PLAIN:
             setattr(self, name, state[name])
+        old = [sentence for sentence in self.warnings if sentence.startswith(_ENDINGS)]
+        self.endings = list(state.get("endings", old))
 
     def _passed(self, frame: Frame | None) -> None:
         """Count a frame that was mapped, or could not be used (None)."""
@@ -299,6 +326,18 @@ class MappingRun:
             return f"none of the {n} frames could be mapped"
         reason = self.warnings[0].removeprefix("skipped a frame: ")
         return f"none of the {n} frames could be mapped, the first because {reason}"
+
+    def note_ending(self, sentence: str) -> None:
+        """Note how the run ended, or what its map is like at the end."""
+        if sentence not in self.warnings:
+            self.warnings.append(sentence)
+        if sentence not in self.endings:
+            self.endings.append(sentence)
+
+    def go_on(self) -> None:
+        """Forget how the run ended, because it goes on."""
+        self.warnings = [sentence for sentence in self.warnings if sentence not in self.endings]
+        self.endings = []
 
     def warn_once(self, sentence: str) -> None:
         """Warn, unless the run has said so before."""

@@ -34,6 +34,7 @@ from ..seeding.rule_code import RULE_MODULES, beside_sources, file_source
 from ..types import Mesh
 from ..work import MAP_MEMORY
 from .mapping_run import MappingRun, evenly
+from .ran_on import ran_on
 from .report import ReportData, ReportView, write_report
 from .run_folder import METRICS, RULE
 from .scored_views import (
@@ -77,7 +78,11 @@ def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dic
     align = (lambda frame: mapper.aligned_pose(draw, params, frame)) if wanted else None
     views = scored_views(run)
     metrics = score_in_map(draw, views, run.sequence, suffix, with_lpips=with_lpips, align=align)
-    run.warnings += nan_views(metrics, [f"{name}{suffix}" for name in views])
+    for sentence in nan_views(metrics, [f"{name}{suffix}" for name in views]):
+        if suffix:  # of the map before the passes, which is scored once
+            run.warn_once(sentence)
+        else:
+            run.note_ending(sentence)
     return metrics
 
 
@@ -101,7 +106,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         mesh = run.mapper.mesh()
     except torch.OutOfMemoryError as e:
         mesh = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3))
-        run.warnings.append(f"no mesh was made, because GPU memory was full: {str(e).splitlines()[0]}")
+        run.note_ending(f"no mesh was made, because GPU memory was full: {str(e).splitlines()[0]}")
     run.hashes = map_hashes(run, mesh)
     settings = {
         "gsfusion_nb": __version__,
@@ -182,6 +187,7 @@ def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any], status
         "status": status or run.status,
         "warnings": run.warnings,
         "sha256": run.hashes,
+        "ran_on": ran_on(run.mapper.device),
         "metrics": metrics_as_json(metrics),
         "frames": rows,
     }
@@ -208,7 +214,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         views=report_views(run),
         mesh_pictures=mesh_pictures(run),
         warnings=_headline_warnings(run),
-        environment=environment(),
+        environment=ran_on(run.mapper.device) | {"threads": str(torch.get_num_threads())},
         files={name: text for name, text in FILES.items() if (folder / name).exists()},
     )
     return write_report(folder / "report.html", data)

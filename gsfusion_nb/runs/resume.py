@@ -14,6 +14,7 @@ from ..seeding import SeedingRule, rule_name
 from ..seeding.named_rules import RuleNotNamedError, is_named
 from ..seeding.rule_code import file_source, is_rule_file, read_rule_file, rule_folder, rule_of_source
 from .mapping_run import MappingRun
+from .ran_on import difference, ran_on
 from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, unpacked
 from .stream_run import StreamRun
 
@@ -45,7 +46,10 @@ def load_run(
     except Exception as e:  # the checkpoint is intact, but this version does not know its state
         raise ValueError(f"{store.folder} is damaged or from another version: {reason_of(e)}") from None
     run.store = store
+    if said := _other_program(loaded.state.get("ran_on"), run):
+        run.warn_once(said)
     run.warnings += [note for note in run.mapper.notes if note not in run.warnings]
+    run.warnings += [said for said in loaded.copies if said not in run.warnings]
     if loaded.passed_over:
         run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is intact, is used instead")
     return run
@@ -57,6 +61,15 @@ def resume_command(folder: Path, rule: SeedingRule) -> str:
     if file_source(rule):
         words += ["--seeding.rule", f"{folder / RULE}:{rule_name(rule)}"]
     return shlex.join(words)
+
+
+def _other_program(then: dict[str, str] | None, run: MappingRun) -> str:
+    """A sentence if the run goes on with another backend or version than it was interrupted with; else empty."""
+    where = f"after {len(run.steps)} frames and {run.mapper.passes.done} passes the run continued"
+    if then is None:
+        return f"{where} from a checkpoint that does not say with which versions and backend it was made"
+    changed = difference(then, ran_on(run.mapper.device))
+    return changed and f"{where} with {changed}: its maps are not, bit for bit, those of a run without interruption"
 
 
 def _refuse_changes(then: dict[str, str], now: dict[str, str], path: Path) -> None:

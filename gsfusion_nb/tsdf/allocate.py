@@ -9,13 +9,17 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_pose
 from ..geometry import pixel_grid, rays, se3
-from ..geometry.operands import check_frame_on
+from ..geometry.operands import check_frame_on, check_rays
 from ..types import Frame
 from .octree import NewBlocks
 from .volume import TsdfVolume, check_volume
 
 OUTLIER_RATIO = 0.05
 """A neighbour supports a depth pixel if their depths differ by less than this share of the pixel's depth."""
+
+
+MOST_CELLS = 1 << 20
+"""Blocks on each side of the camera that can be told apart."""
 
 
 def allocate(volume: TsdfVolume, frame: Frame) -> Int[Tensor, " K"]:
@@ -32,6 +36,7 @@ def check_band(volume: Any, frame: Any) -> None:
     check_volume(volume)
     check_frame_on(frame, volume.device)
     check_pose("T_WC", frame.T_WC_cpu)
+    check_rays("the frame's camera", frame.camera)
 
 
 @op("allocate", check_band)
@@ -43,7 +48,7 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
     skipped at a corner, and no pixel is skipped.
 
     Raises:
-        ValueError: the pose is not rigid.
+        ValueError: the pose is not rigid, or the camera impossible: its rays would cross millions of blocks.
     """
     config, depth_m = volume.config, frame.depth_m
     used = (depth_m > 0) & (depth_m >= config.near_m) & (depth_m <= config.far_m)
@@ -65,7 +70,7 @@ def new_band_blocks(volume: TsdfVolume, frame: Frame) -> NewBlocks:
     """Those of ``band_blocks`` that are not allocated yet.
 
     Raises:
-        ValueError: the pose is not rigid, or a block lies beyond the voxel index.
+        ValueError: the pose is not rigid, the camera impossible, or a block lies beyond the voxel index.
     """
     return volume.index.missing(band_blocks(volume, frame))
 
@@ -79,7 +84,16 @@ def crossed_cells(
     """Unit cells that the segments ``origin + t direction``, t from ``t_first`` to ``t_last``, pass; each once, sorted.
 
     All segments step together, each through the nearest wall of its cell (Amanatides & Woo 1987).
+
+    Raises:
+        ValueError: a segment ends ``MOST_CELLS`` or more from the origin of the cells.
     """
+    farthest = (origin + t_last[:, None] * direction).abs().amax() if len(direction) else torch.zeros(())
+    if not bool(farthest < MOST_CELLS):
+        raise ValueError(
+            f"a block {float(farthest):.3g} blocks from the camera lies beyond the voxel index, which has {MOST_CELLS} "
+            "on each side: check the depth unit, tsdf.far_m and the intrinsics"
+        )
     cell = (origin + t_first[:, None] * direction).floor()
     crossed = [cell]
     while cell.shape[0]:
@@ -106,8 +120,8 @@ def has_support(depth_m: Float[Tensor, "H W"], ratio: float = OUTLIER_RATIO) -> 
 
 
 def _distinct(cells: Int[Tensor, "N 3"]) -> Int[Tensor, "M 3"]:
-    """Each row once, sorted; the three numbers, below 2^20 in size, share one integer."""
-    x, y, z = (cells + (1 << 20)).unbind(1)
+    """Each row once, sorted; the three numbers, below ``MOST_CELLS`` in size, share one integer."""
+    x, y, z = (cells + MOST_CELLS).unbind(1)
     packed = (x << 42 | y << 21 | z).unique()
     mask = (1 << 21) - 1
-    return torch.stack([packed >> 42, packed >> 21 & mask, packed & mask], dim=1) - (1 << 20)
+    return torch.stack([packed >> 42, packed >> 21 & mask, packed & mask], dim=1) - MOST_CELLS

@@ -79,12 +79,35 @@ def test_a_stop_keeps_what_is_done(entries, tmp_path):
     assert counting.done.count("run") == 2
 
 
-def test_a_damaged_result_is_computed_again(entries, tmp_path, caplog):
+def test_a_damaged_or_altered_result_is_computed_again_and_named(entries, tmp_path, caplog):
+    """Also one of another run under this name, and one of the right form whose number somebody has changed."""
     store = ResultStore(tmp_path / "cache")
-    first = dict(run_all(entries[2:3], store))[0]
-    (tmp_path / "cache" / "results" / f"{first.key}.json").write_text('{"spec": 3')
-    assert numbers(dict(run_all(entries[2:3], store))[0]) == numbers(first)
-    assert "is not used" in caplog.text
+    results = dict(run_all(entries[1:3], store))
+    path = tmp_path / "cache" / "results" / f"{results[1].key}.json"
+    content, other = path.read_text(), path.with_name(f"{results[0].key}.json").read_text()
+    found = f'"psnr_held_out_db": {results[1].metrics["psnr_held_out_db"]}'
+    assert found in content
+    damages = {
+        "cut": ('{"spec": 3', "is not valid JSON"),
+        "number": (content.replace(found, '"psnr_held_out_db": 99.9'), "was changed after it was written"),
+        "type": (content.replace(found, '"psnr_held_out_db": "x"'), "was changed after it was written"),
+        "unsealed": (content.replace('"checksum"', '"check"'), "has no checksum"),
+        "other": (other, "is the result of another run"),
+    }
+    for name, (text, message) in damages.items():
+        path.write_text(text)
+        caplog.clear()
+        store, counting = ResultStore(tmp_path / "cache"), Counting()
+        assert store.find(entries[2].spec) is None
+        again = dict(run_all(entries[2:3], store, counting))[0]
+        assert (numbers(again), counting.done) == (numbers(results[1]), ["run"]), name
+        said = [line for line in caplog.messages if "computed again" in line]
+        assert len(said) == 1, name
+        assert str(path) in said[0]
+        assert message in said[0]
+    tuned = next((tmp_path / "cache" / "tuned").iterdir())
+    tuned.write_text(tuned.read_text().replace('"n_runs"', '"runs"'))
+    assert ResultStore(tmp_path / "cache").find_tuned(entries[1].spec) is None
 
 
 def test_other_data_are_seen_by_runs_that_were_made_before(spec, scene, tmp_path):

@@ -1,5 +1,6 @@
 import hashlib
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -74,7 +75,7 @@ def test_what_is_constant_is_written_once(tmp_path):
     for _ in range(3):
         again.save({"image": other}, constant=[other])
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "000003.constants", "000004.json", "000004.state", "000005.json", "000005.state"
+        "000003.constants", "000003.copy", "000004.json", "000004.state", "000005.json", "000005.state"
     ]  # fmt: skip
     assert torch.equal(again.load().state["image"], other)
     again.remove()
@@ -126,6 +127,39 @@ def test_a_damaged_checkpoint_is_recognised_and_the_one_before_is_used(tmp_path,
         CheckpointStore(tmp_path).load()
     with pytest.raises(FileNotFoundError, match="holds no checkpoint"):
         CheckpointStore(tmp_path / "other").load()
+
+
+@pytest.mark.parametrize("damage", ["truncated", "a flipped bit", "gone"])
+def test_a_damaged_file_that_all_checkpoints_need_is_read_from_its_copy(tmp_path, damage):
+    """Both checkpoints would be lost with it."""
+    image, store = torch.rand(300, 300), CheckpointStore(tmp_path)
+    for n in range(3):
+        store.save({"image": image, "n": n}, constant=[image])
+    path = tmp_path / "000001.constants"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content[: len(content) // 2] if damage == "truncated" else content)
+    if damage == "gone":
+        path.unlink()
+    loaded = CheckpointStore(tmp_path).load()
+    assert (loaded.number, loaded.state["n"], loaded.passed_over) == (3, 2, "")
+    assert torch.equal(loaded.state["image"], image)
+    assert len(loaded.copies) == 1
+    assert "000001.constants is damaged" in loaded.copies[0]
+    (tmp_path / "000001.copy").write_bytes(b"nonsense")
+    with pytest.raises(ValueError, match=r"000001\.constants"):
+        CheckpointStore(tmp_path).load()
+
+
+def test_on_a_disk_that_is_nearly_full_nothing_is_copied(tmp_path, monkeypatch):
+    image = torch.rand(300, 300)
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=3 * image.nbytes))
+    store = CheckpointStore(tmp_path)
+    for _ in range(2):
+        store.save({"image": image}, constant=[image])
+    assert not list(tmp_path.glob("*.copy"))
+    assert torch.equal(CheckpointStore(tmp_path).load().state["image"], image)
 
 
 def test_what_cannot_be_saved_is_named(tmp_path):

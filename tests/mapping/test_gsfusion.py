@@ -3,10 +3,12 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.config import replace
+from gsfusion_nb.config import gsfusion, replace
+from gsfusion_nb.data import apply_options
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.optim import depth_l1
+from gsfusion_nb.runs import MappingRun
 
 
 def held_out_psnr(mapper, split) -> float:
@@ -106,3 +108,28 @@ def test_a_rule_for_keyframes_needs_keyframes_that_do_not_depend_on_its_seeds(co
     assert GSFusion(replace(config, keyframe_every=5), seeding="monogs").rule_in_use.when.only_keyframes
     with pytest.raises(ValueError, match=r"'monogs' is asked in keyframes only, .* set keyframe_every, such as 5"):
         GSFusion(replace(config, keyframe_every=0), seeding="monogs")
+
+
+def test_a_map_with_hardly_any_gaussians_says_why(small_room):
+    """At 80x60 the published threshold cuts almost nothing; both settings that are named then do."""
+
+    def mapped(**changes) -> MappingRun:
+        config = gsfusion("replica", data__stop=14, optim__global_iterations=1, **changes)
+        run = MappingRun(apply_options(small_room, config.data), GSFusion(config))
+        list(run.online())
+        list(run.optimise())
+        return run
+
+    run = mapped()
+    assert len(run.mapper.keyframes) == 0
+    assert len(run.mapper.gaussians) < 10
+    early = [warning for warning in run.warnings if "after 10 frames" in warning]
+    late = run.mapper.run_notes(run.steps)
+    for said in (early[0], late[0]):
+        assert "no frame added more than 50 (keyframe_min_seeds)" in said
+        assert "at 80 x 60 pixels the quadtree cuts only cells whose colours vary by 43 of 255 or more" in said
+        assert "--seeding.quadtree-threshold 0.00059" in said
+    for change in ({"seeding__quadtree_contrast": "std"}, {"seeding__quadtree_threshold": 0.00059}):
+        better = mapped(**change)
+        assert len(better.mapper.keyframes) > 1
+        assert better.warnings == better.mapper.run_notes(better.steps) == []

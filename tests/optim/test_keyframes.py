@@ -83,10 +83,11 @@ def test_a_loop_moves_each_pose_in_the_world(generator):
 def test_all_poses_follow_every_change(generator):
     k = keyframes(3)
     assert torch.equal(k.T_WC, torch.eye(4).expand(3, 4, 4))
-    T = se3.exp(torch.randn(6, generator=generator))
-    for change in (lambda: k.set_pose(k[1].index, T), lambda: k.append(frame(1)), lambda: k.cut(2)):
+    T, before = se3.exp(torch.randn(6, generator=generator)), k.snapshot()
+    for change in (lambda: k.set_pose(k[1].index, T), lambda: k.append(frame(1)), lambda: k.restore(before)):
         change()
         assert torch.equal(k.T_WC, torch.stack([keyframe.T_WC for keyframe in k]))
+    assert torch.equal(k.T_WC, torch.eye(4).expand(3, 4, 4))
 
 
 def test_images_are_kept_where_they_are_wanted():

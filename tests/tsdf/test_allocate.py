@@ -3,6 +3,7 @@ import dataclasses
 import pytest
 import torch
 
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import backproject, pixel_grid, se3
 from gsfusion_nb.tsdf import TsdfVolume, allocate, band_blocks
@@ -111,3 +112,21 @@ def test_shifted_world_shifts_the_blocks(camera, look_from, sphere_depth, make_f
     there = band_blocks(TsdfVolume(config), make_frame(depth, camera, moved)) - torch.tensor([-8192, 4096, -2048])
     a, b = set(map(tuple, here.tolist())), set(map(tuple, there.tolist()))
     assert len(a ^ b) <= 0.01 * len(a)  # the pose itself is float32: 60 micrometres there
+
+
+@pytest.mark.parametrize("backend", ["reference", "numba"])
+@pytest.mark.parametrize("change", [{"cx": 2.0**31}, {"cy": -(2.0**31)}, {"fx": 1e-3}])
+def test_rays_that_would_cross_millions_of_blocks_are_refused(camera, make_frame, backend, change):
+    small = camera.resized(40, 30)
+    frame = make_frame(torch.full((30, 40), 1.5), dataclasses.replace(small, **change))
+    message = r"the frame's camera: f. = .* m sideways per metre of depth"
+    with use_backend(backend), pytest.raises(ValueError, match=message):
+        band_blocks(TsdfVolume(CONFIG), frame)
+
+
+def test_a_segment_beyond_the_index_is_refused_at_once():
+    direction = torch.tensor([[1.0, 0.0, 0.0]])
+    with pytest.raises(ValueError, match="lies beyond the voxel index"):
+        crossed_cells(torch.zeros(3), direction, torch.zeros(1), torch.tensor([3e9]))
+    with pytest.raises(ValueError, match="lies beyond the voxel index"):
+        crossed_cells(torch.zeros(3), direction * torch.nan, torch.zeros(1), torch.ones(1))

@@ -1,8 +1,13 @@
-"""Say once that kernels are being compiled: the first call on a machine takes some seconds without it looking so."""
+"""Say once that kernels are being compiled: the first call on a machine takes some seconds without it looking so.
+
+And let Ctrl-C end it, between two passes of the compiler.
+"""
 
 import logging
 
 from numba.core import event
+
+from gsfusion_nb.interrupts import compiler_goes_on
 
 log = logging.getLogger(__name__)
 
@@ -30,4 +35,17 @@ class CompileNotice(event.Listener):
         """Nothing to say."""
 
 
+class PassEnd(event.Listener):
+    """Lets a signal take effect after each pass of numba's compiler."""
+
+    def on_start(self, event: event.Event) -> None:
+        """Nothing to do."""
+
+    def on_end(self, event: event.Event) -> None:
+        """Called by numba after a pass."""
+        if not event.is_failed:
+            compiler_goes_on()
+
+
 event.register("numba:compile", CompileNotice())
+event.register("numba:run_pass", PassEnd())

@@ -1,0 +1,42 @@
+"""What a run's maps depend on besides its data and settings: versions, the backend, the processor."""
+
+import importlib.metadata
+import platform
+from collections.abc import Mapping
+
+import torch
+
+from .. import __version__
+from ..backends import chosen
+
+_LIBRARIES = {"PyTorch": "torch", "NumPy": "numpy", "numba": "numba", "triton": "triton"}
+"""Name -> distribution of each library whose version may change how numbers are rounded."""
+
+
+def ran_on(device: torch.device) -> dict[str, str]:
+    """What a map on this device is made with now, by name; runs of which all is equal have equal maps, bit for bit."""
+    found = {
+        "gsfusion_nb": __version__,
+        "backend": chosen(),
+        "device": device.type,
+        "Python": platform.python_version(),
+    }
+    found |= {name: _version(distribution) for name, distribution in _LIBRARIES.items()}
+    found["system"] = f"{platform.system()} {platform.machine()}"
+    found["processor"] = torch.backends.cpu.get_cpu_capability()
+    if device.type == "cuda":
+        found["GPU"] = torch.cuda.get_device_name(device)
+    return found
+
+
+def difference(then: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """What differs between two results of ``ran_on``, in words; empty if nothing does."""
+    names = (name for name in {**then, **now} if then.get(name) != now.get(name))
+    return ", ".join(f"{name} {now.get(name, 'none')} instead of {then.get(name, 'none')}" for name in names)
+
+
+def _version(distribution: str) -> str:
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return "none"
