@@ -7,6 +7,7 @@ import os
 # operations then take ten times as long; to wait asleep costs next to nothing.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
+from . import interrupts as interrupts  # first, for Ctrl-C while torch is imported
 from .types import Camera as Camera
 from .types import Frame as Frame
 from .types import RenderOutput as RenderOutput

@@ -1,9 +1,11 @@
 """Ctrl-C and SIGTERM: where they take effect at once, and where they wait until a change is whole."""
 
+import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
-from types import CodeType, FrameType
+from types import CodeType, FrameType, TracebackType
 from typing import Any, ClassVar, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -129,3 +131,18 @@ def _is_undisturbed(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+_COMMAND = "gsfusion-nb"
+
+
+def _say_interrupted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Of Ctrl-C while the command imports what it needs, which takes seconds, say one line and no traceback."""
+    if issubclass(kind, KeyboardInterrupt):
+        sys.stderr.write(f"{_COMMAND}: interrupted\n")
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+if os.path.splitext(os.path.basename(sys.argv[0] if sys.argv else ""))[0] == _COMMAND:
+    sys.excepthook = _say_interrupted

@@ -110,3 +110,22 @@ def test_a_reader_that_has_enough_ends_the_command_quietly(arguments, tmp_path):
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, env=environment)
     os.close(write)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_ctrl_c_while_the_command_imports_is_one_line(tmp_path):
+    """Not a traceback, also in a library; of an error that is none of the user's doing there is one."""
+    (tmp_path / "torch.py").write_text("raise KeyboardInterrupt")
+    code = "import sys; sys.argv[0] = '/usr/bin/{}'; import gsfusion_nb.cli"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+
+    def said(command: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code.format(command)], env=environment, capture_output=True, text=True
+        )
+        assert done.returncode != 0
+        return done.stderr
+
+    assert said("gsfusion-nb") == "gsfusion-nb: interrupted\n"
+    assert "Traceback" in said("python")
+    (tmp_path / "torch.py").write_text("raise RuntimeError('broken')")
+    assert "RuntimeError: broken" in said("gsfusion-nb")
