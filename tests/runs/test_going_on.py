@@ -61,7 +61,7 @@ def test_another_backend_or_version_is_said_in_the_terminal_the_numbers_and_the_
 def test_the_same_program_says_nothing_and_endings_are_forgotten(tmp_path, monkeypatch):
     """After two frames without a seed the map is empty; after four it is not, and no word of that is left."""
 
-    @seeding_rule("late")
+    @seeding_rule
     def late(ctx):
         """Seeds from the third frame on."""
         return apply_rule("uniform", ctx, {"fraction": 0.2 if ctx.frame.index > 1 else 0.0})

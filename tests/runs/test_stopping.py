@@ -159,7 +159,7 @@ def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(tmp_path,
     monkeypatch.setattr(outputs, "write_maps", watched)
     run = run_mapping("room", config, folder=tmp_path / "out")
     assert run.run.status == "interrupted"
-    assert seen == [["000001.constants", "000001.json", "000001.state"]]
+    assert seen == [["000001.constants", "000001.copy", "000001.json", "000001.state"]]
     monkeypatch.undo()
 
 
