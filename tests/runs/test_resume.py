@@ -139,6 +139,8 @@ def _killed(scene, tmp_path, monkeypatch, rule):
         "replica",
         sh_degree=0,
         tsdf__voxel_size_m=0.08,
+        seeding__quadtree_threshold=0.0005,
+        keyframe_min_seeds=5,
         optim__global_iterations=1,
         data__hold_out_every=4,
         data__hold_out_offset=2,
