@@ -8,6 +8,7 @@ from gsfusion_nb.config import gsfusion
 from gsfusion_nb.runs import MappingRun, ran_on, resume_mapping, run_mapping
 from gsfusion_nb.runs.run_folder import StopRequest
 from gsfusion_nb.seeding import apply_rule, seeding_rule
+from gsfusion_nb.types import Seeds
 
 ROOM: dict[str, Any] = {"n_frames": 120, "width": 32, "height": 24}
 SMALL: dict[str, Any] = {
@@ -64,7 +65,7 @@ def test_the_same_program_says_nothing_and_endings_are_forgotten(tmp_path, monke
     @seeding_rule
     def late(ctx):
         """Seeds from the third frame on."""
-        return apply_rule("uniform", ctx, {"fraction": 0.2 if ctx.frame.index > 1 else 0.0})
+        return apply_rule("uniform", ctx, {"fraction": 0.2}) if ctx.frame.index > 1 else Seeds.empty(ctx.frame.depth_m)
 
     run = stopped_after(2, tmp_path / "out", monkeypatch, seeding__rule="late", seeding__options={})
     said = warnings_of(run.folder)
