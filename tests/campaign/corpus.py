@@ -143,6 +143,34 @@ def _formats(root: Path, takes) -> list[Seed]:
         takes.write(root / "r3d_folder" / name, data)
     seeds.append(Seed("r3d_folder", "convert", root / "r3d_folder"))
     seeds += [_nerfstudio(root, takes), *_open3d(root, takes), _icl(root, takes), *_bags(root, takes)]
+    return [*seeds, *_kinds(root, takes)]
+
+
+_KINDS = (
+    "stray",
+    "polycam_corrected",
+    "scanner_app",
+    "rtabmap_export",
+    "scannet_25k",
+    "bundlefusion",
+    "sun3d",
+    "neural_rgbd",
+    "tartanair",
+    "tartanair_2",
+    "bop",
+    "nice_slam",
+    "oak_calibration",
+)
+"""Recordings of apps and data sets that the tests of kinds write."""
+
+
+def _kinds(root: Path, takes) -> list[Seed]:
+    makers = of_tests("plugins/recorded_kinds.py")
+    seeds = []
+    for name in _KINDS:
+        folder = root / f"kind_{name}"
+        made = getattr(makers, name)(folder, takes)
+        seeds.append(Seed(folder.name, "convert", folder, made.relative_to(folder).as_posix()))
     return seeds
 
 

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...data.adjust.depth_agreement import thinned
+from ...data.adjust.depth_agreement import depth_consistency, relative_poses, sparse_points, thinned
 from ...data.lens import same_proportions
 from ...data.sequence import BadFrameError
 from ...geometry import pixel_grid
@@ -38,14 +38,16 @@ _SCALES = 1000.0 * np.exp(np.linspace(np.log(0.0005), np.log(40.0), 115))
 """Units a metre to try, 0.5 to 40,000 in steps of 10 %."""
 _TOLERANCE = 0.06
 """A point agrees if its depth differs by less than this share; of a precise sensor less."""
-_AROUND = np.linspace(-0.8, 0.8, 65)
+_AROUND = np.linspace(-0.5, 0.5, 41)
 """Units around the best that are tried closely, as logarithms of factors on it."""
 _FEWEST_PAIRS = 3
 _TELLS = 0.1
 """A pair tells the unit if its score, 0 to 1, differs by more between the units."""
 _LEAST_SCORE = 0.2
 _CLEAR = 0.85
-"""Of the best score all units that differ by more than ``_NEAR`` stay below."""
+"""Of the best score all units that differ by more than ``_NEAR`` stay below this share, and in the coarse comparison
+those that are not tried closely below ``_CLEAR_FAR``."""
+_CLEAR_FAR = 0.95
 _NEAR = 1.2
 _SNAPS = 1.06
 """A unit that programs write is taken if the best one is nearer to it than this factor."""
@@ -109,14 +111,17 @@ def units_per_metre(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> float | N
     """Stored depth of one metre under which the first image of each pair predicts the second; None: unclear."""
     if not pairs:
         return None
-    data = _fit_data(pairs)
-    curves = torch.stack([_scores(data, scale, _TOLERANCE) for scale in _SCALES], 1)
+    curves = torch.stack([_coarse_scores(first, second) for first, second in pairs])
     contrast = curves.amax(1) - curves.amin(1)
     chosen = contrast.argsort(descending=True)[:_PAIRS]
     chosen = chosen[contrast[chosen] > _TELLS]
     if len(chosen) < min(_FEWEST_PAIRS, len(pairs)):
         return None
-    best = float(_SCALES[int(curves[chosen].mean(0).argmax())])
+    coarse = curves[chosen].mean(0).numpy()
+    best = float(_SCALES[int(coarse.argmax())])
+    beyond = np.abs(np.log(_SCALES / best)) > _AROUND[-1]
+    if coarse[beyond].max() > _CLEAR_FAR * coarse.max():
+        return None
     close = _fit_data([pairs[i] for i in chosen.tolist()])
     _, residual, known = reproject(close, _correction(best))
     precise = min(max(3 * float(residual[known].abs().median()), 0.002), _TOLERANCE)
@@ -126,6 +131,17 @@ def units_per_metre(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> float | N
     if scores[top] < _LEAST_SCORE or scores[far].max() > _CLEAR * scores[top]:
         return None
     return best * math.exp(_AROUND[top])
+
+
+def _coarse_scores(first: PosedDepth, second: PosedDepth) -> Float[Tensor, " S"]:
+    """How well an image predicts another in each of ``_SCALES``, 0 to 1, by the nearest pixels. [S]"""
+    step = max(1, round(math.sqrt(first.stored.numel() / _POINTS)))
+    points = sparse_points(first.camera, first.stored, step)
+    if not len(points):
+        return torch.zeros(len(_SCALES))
+    T_ba = relative_poses(first.T_WC, second.T_WC).expand(len(_SCALES), 4, 4).clone()
+    T_ba[:, :3, 3] *= torch.from_numpy(_SCALES)[:, None]
+    return depth_consistency(points, second.stored, second.camera, T_ba).score
 
 
 def _fit_data(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> FitData:
