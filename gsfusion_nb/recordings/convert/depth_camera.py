@@ -17,7 +17,8 @@ from ...data.lens import CameraModel
 from ...data.recorded.files import CALIBRATION_SUFFIXES, first_of
 from ...data.sequence import SequenceError
 from ...geometry import se3
-from .intrinsics import Tree, model_of_matrix, read_intrinsics
+from .calibration_tree import Tree
+from .intrinsics import model_of_matrix, read_intrinsics
 from .recording import DepthUnit
 from .trajectory import read_matrix
 

@@ -21,9 +21,9 @@ from ...geometry import pixel_grid
 from ...types import Camera
 from ..checkup.fit import CalibrationCorrection, FitData, reproject
 from .depth_unit import KNOWN
+from .frame_poses import FramePoses
 from .intrinsics import intrinsics_of_frame, read_intrinsics
 from .recording import ConvertOptions, DepthUnit, OptionNeeded, RecordedFrame, Recording
-from .trajectory import FramePoses
 
 _ANCHORS = 10
 _GAPS = (1, 4, 12, 30)

@@ -1,7 +1,8 @@
 """Camera intrinsics as other programs write them: numbers, matrices, JSON, YAML, and lines that name values.
 
-Every way is first made a tree of names and values, and one function takes the camera out of it (``model_of_tree``). A
-name that looks like a part of the lens and is not known is refused, because leaving it out would change the camera.
+Every way is first made a tree of names and values (``calibration_tree``), and one function takes the camera out of it
+(``model_of_tree``). A name that looks like a part of the lens and is not known is refused, because leaving it out would
+change the camera.
 """
 
 import math
@@ -12,24 +13,15 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import yaml
 
 from ...checks import shown
-from ...config.values import nested
 from ...data.lens import CameraModel
 from ...data.sequence import SequenceError
-from ...files import parsing, read_object, read_text, refusing
+from ...files import parsing, refusing
 from ...types import Camera
+from .calibration_tree import WAYS, Tree, tree_of_file
 from .recording import ConvertOptions, OptionNeeded, RecordedFrame, read_array
 from .trajectory import read_numbers
-
-WAYS = (
-    "'fx fy cx cy [k1 k2 p1 p2 [k3 ...]]', the focal length alone, a 3x3 or 4x4 matrix, lines such as 'fx: 525', "
-    "JSON (Open3D's, RealSense's, or fx fy cx cy), YAML (ORB-SLAM's, OpenCV's, ROS's, Kalibr's, RTAB-Map's), or "
-    "ARKitScenes' .pincam"
-)
-
-Tree = Mapping[str, Any]
 
 
 def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float = 0.0) -> CameraModel:
@@ -64,20 +56,6 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
     if len(values) not in (4, 8, 9, 12, 16, 18):
         raise SequenceError(f"{source} must be {WAYS}, got {len(values)} numbers")
     return model_of(values[:4], size, source, centre=centre, distortion=tuple(values[4:]))
-
-
-def tree_of_file(path: Path) -> Tree:
-    """Names and values of a calibration file; empty for one that holds numbers without names.
-
-    Raises:
-        SequenceError: it cannot be read.
-    """
-    suffix = path.suffix.lower()
-    if suffix == ".json":
-        return read_object(path, f"the camera's intrinsics as {WAYS}")
-    if suffix in (".yaml", ".yml"):
-        return _yaml_tree(path)
-    return {} if suffix == ".npy" else _named_values(read_text(path, WAYS), path)
 
 
 def intrinsics_of_frame(frame: RecordedFrame, size: tuple[int, int], name: str, options: ConvertOptions) -> CameraModel:
@@ -371,68 +349,6 @@ def _is_not_zero(value: Any) -> bool:
         return bool(np.any(np.array(value, dtype=float) != 0))
     except (TypeError, ValueError):
         return True
-
-
-# ---- Files -----------------------------------------------------------------------------------------------------------
-
-
-class _CameraLoader(yaml.SafeLoader):
-    """YAML without code, with OpenCV's matrices as plain groups."""
-
-
-def _plain_group(loader: Any, node: Any) -> dict[str, Any]:
-    return loader.construct_mapping(node, deep=True)
-
-
-for _tag in ("opencv-matrix", "opencv-nd-matrix"):
-    _CameraLoader.add_constructor(f"tag:yaml.org,2002:{_tag}", _plain_group)
-
-
-def _yaml_tree(path: Path) -> Tree:
-    """Names and values of a YAML file, also of one that OpenCV or ORB-SLAM wrote; names with dots become groups."""
-    text = re.sub(r"^%YAML:[\d.]+", "", read_text(path, WAYS))
-    with parsing(path, f"the camera's intrinsics as {WAYS}"):
-        try:
-            tree = yaml.load(text, _CameraLoader)  # a SafeLoader
-        except yaml.YAMLError:
-            tree = None
-        if isinstance(tree, Mapping):
-            return nested({str(name): value for name, value in tree.items()}, ".")
-    return _named_values(text, path)
-
-
-_LINE = re.compile(r"^\W*([A-Za-z_][\w.]*)[\"']?\s*[:=\s]\s*(\S.*?)\s*$")
-_SECTION = re.compile(r"^\s*\[([^\]]*[A-Za-z][^\]]*)\]\s*$")
-
-
-def _named_values(text: str, path: Path) -> Tree:
-    """Names and numbers of lines such as "fx: 525", in sections such as "[rgb]"; empty where nothing has a name.
-
-    Names with dots become groups: "Camera.fx: 525" is fx in the group Camera.
-    """
-    values: dict[str, Any] = {}
-    section = ""
-    for line in text.splitlines():
-        heading = _SECTION.match(line)
-        if heading:
-            section = f"{heading[1]}."
-            continue
-        for part in re.split(r"[,;](?=\s*[A-Za-z_])", line):
-            named = _LINE.match(part)
-            if named and not line.lstrip().startswith(("#", "//")):
-                values[section + named[1]] = _value(named[2])
-    with parsing(path, f"the camera's intrinsics as {WAYS}"):
-        return nested(values, ".")
-
-
-def _value(text: str) -> Any:
-    """A number, a list of numbers, or the text without its quotes."""
-    words = text.strip("[]() ").replace(",", " ").split()
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError:
-        return text.strip("\"'")
-    return numbers[0] if len(numbers) == 1 else numbers
 
 
 def _numbers_of(path: Path) -> list[float]:

@@ -21,10 +21,11 @@ from ...types import Camera
 from ...work import ProgressDisplay
 from .depth_motion import measured_unit
 from .formats import FORMATS, detect_format
+from .frame_poses import FramePoses
 from .intrinsics import intrinsics_of_frame, read_intrinsics
 from .recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
 from .rectifier import Rectifier
-from .trajectory import FramePoses, read_matrix
+from .trajectory import read_matrix
 
 MILLIMETRES = 1000.0
 _FINEST, _COARSEST = 20000.0, 200.0

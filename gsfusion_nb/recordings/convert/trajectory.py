@@ -1,9 +1,8 @@
-"""The pose of every frame: as recorded, or from a file, one per frame or interpolated at the frame's time."""
+"""Trajectories: poses with times, interpolated at the frames' times, as other programs write them."""
 
-import contextlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,124 +11,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...data.recorded.files import images_in
 from ...data.recorded.poses import (
     check_decimal_points,
-    checked_pose,
     checked_rows,
     interpolate_rows,
     matrices,
     read_rows,
-    read_words,
 )
 from ...data.recorded.times import PER_SECOND, date_unit, judge_stamps
 from ...data.recorded.times import time_unit as find_time_unit
 from ...data.sequence import SequenceError
 from ...files import parsing, read_text, refusing
 from ...geometry import quaternion, se3
-from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording, read_array
-
-
-class FramePoses:
-    """Pose of each frame: the recorded one, or one from a file, by its place or at its time; scaled to metres and
-    checked."""
-
-    def __init__(self, recording: Recording, options: ConvertOptions):
-        self.trajectory: Trajectory | None = None
-        self._per_frame: dict[Any, Tensor] | None = None
-        self.none = options.poses == "none"
-        self._offset_s = options.time_offset_s
-        self._recording = recording
-        self.notes: list[str] = []
-        file = "" if self.none else options.poses or recording.poses_file
-        if file:
-            self._T_body_cam = camera_in_body(options.T_cam_body, options.T_body_cam)
-            per_frame = poses_per_frame(Path(file), recording, options)
-            self._per_frame = None if per_frame is None else per_frame[0]
-            self.notes += [] if per_frame is None else per_frame[1]
-        if file and self._per_frame is not None:
-            self.notes.append(f"{file}: one pose per frame, taken as camera-to-world, OpenCV axes, metres")
-        elif file:
-            self.trajectory = read_trajectory(
-                Path(file),
-                time_unit=options.pose_time_unit,
-                max_gap_s=options.max_gap_s,
-                T_body_cam=self._T_body_cam,
-                frame_time_s=_first_time(recording),
-            )
-            self.notes += self.trajectory.notes
-        elif not self.none and not recording.has_poses:
-            raise OptionNeeded(
-                f"{recording.name} holds no poses; give a trajectory with --poses FILE (TUM, OKVIS2, ORB-SLAM3, "
-                "EuRoC, or one pose per frame), or --poses none to track the camera later",
-                option="poses",
-                question="Which file holds the poses? none: they are estimated by tracking the camera",
-            )
-        self._scale = 1.0 if self.none else self._metres_per_unit(options)
-
-    @property
-    def by_place(self) -> bool:
-        """Whether a pose is that of a colour image and of its depth, whenever they were taken."""
-        return self._per_frame is not None
-
-    def timed(self, frame: RecordedFrame) -> RecordedFrame:
-        """The frame with the time that the trajectory gives for its number, where the recording has no times."""
-        trajectory = self.trajectory
-        if trajectory is None or frame.time_s is not None or trajectory.counts_frames:
-            return frame
-        return replace(frame, time_s=trajectory.time_of_frame.get(frame_key(Path(frame.source).stem)))
-
-    def of(self, place: int, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
-        """Pose of the frame at a place of the recording, or None and why there is none; float64, metres."""
-        if self._per_frame is not None:
-            T, reason = self._per_frame.get(place), "no pose of its name"
-            T = self._per_frame.get(frame_key(Path(frame.source).stem)) if T is None else T
-            T = T if T is None or self._T_body_cam is None else T @ self._T_body_cam
-        elif self.trajectory is not None:
-            T, reason = self._of_trajectory(self.trajectory, frame)
-        else:
-            T, reason = frame.T_WC, "no pose"
-        if T is None:
-            return None, reason
-        if not bool(torch.isfinite(T).all()):
-            return None, "tracking was lost (pose is NaN or infinite)"
-        T = T.double().clone()
-        T[:3, 3] *= self._scale
-        checked_pose(T, f"the pose of {frame.source}")
-        return T, ""
-
-    def _of_trajectory(self, trajectory: "Trajectory", frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
-        """The pose at the time of a frame, or, where the frame has no time, of its number."""
-        if frame.time_s is not None:
-            return trajectory.pose_at(frame.time_s + self._offset_s), "the trajectory has no pose around its time"
-        if not trajectory.time_of_frame:
-            raise SequenceError(
-                f"{trajectory.path} gives poses by time, but {frame.source} has none; expected image names or "
-                "lists with times; --poses none tracks the camera later"
-            )
-        time_s = trajectory.time_of_frame.get(frame_key(Path(frame.source).stem))
-        return None if time_s is None else trajectory.pose_at(time_s), "the trajectory has no pose of its number"
-
-    def _metres_per_unit(self, options: ConvertOptions) -> float:
-        if options.scale:
-            self.notes.append(f"positions were multiplied by {options.scale:g} (--scale)")
-            return options.scale
-        if self.trajectory is not None or not self._recording.up_to_scale:
-            return 1.0
-        scale, sentence = 1.0, "nothing to measure it on"
-        if self._recording.measured_scale is not None:
-            scale, sentence = self._recording.measured_scale()
-        self.notes.append(
-            f"these poses have no unit of length; one unit is taken as {scale:.6g} m ({sentence}; --scale)"
-        )
-        return scale
-
-
-def _first_time(recording: Recording) -> float | None:
-    """When the first frame was taken, seconds; None where the recording has no times."""
-    with contextlib.suppress(SequenceError):
-        return next((frame.time_s for frame in recording.frames()), None)
-    return None
 
 
 def frame_key(name: str) -> tuple[int, ...] | str:
@@ -137,127 +30,7 @@ def frame_key(name: str) -> tuple[int, ...] | str:
     return tuple(int(n) for n in re.findall(r"\d+", name)) or name
 
 
-_LAST_ROW = re.compile(r"(-?0(\.0*)?(e[+-]00)? ){3}1(\.0*)?(e\+00)?")
-"""Of a matrix after the name of an image; rows of EuRoC have as many columns."""
-_PER_FRAME = {4: "4x4 numbers", 7: "tx ty tz qx qy qz qw", 12: "3x4 numbers", 16: "4x4 numbers"}
-
-
-def poses_per_frame(
-    path: Path, recording: Recording, options: ConvertOptions
-) -> tuple[dict[Any, Float[Tensor, "4 4"]], list[str]] | None:
-    """Camera-to-world poses, float64, by the place of the frame or by ``frame_key`` of its image, and notes; None for a
-    file with times.
-
-    Rows of a file hold 16 or 12 numbers of a matrix, "tx ty tz qx qy qz qw", or the name of the image and 16 numbers; a
-    matrix may take four rows. A folder has a file with a matrix for each image.
-
-    Raises:
-        SequenceError: another number of poses than of frames, of which neither the numbers of the images nor the
-            options say whose they are, or a quaternion whose length is not 1.
-    """
-    if path.suffix == _ARKIT_SUFFIX:
-        return None
-    what = "one pose per frame: " + ", ".join(_PER_FRAME.values())
-    names: list[str] = []
-    if path.is_dir():
-        files = images_in(path, (".txt", ".npy"))
-        files = [f for f in files if "pose" in f.name] or files
-        values = {f.name: _numbers_of(f, what) for f in files if f.stat().st_size}
-        names, rows = [*values], [*values.values()]
-    elif path.suffix == ".npy":
-        array = read_array(path, what)
-        rows = array.reshape(len(array), -1).tolist()
-    else:
-        rows = [words for _, words in read_words(path, what)]
-        if all(len(row) == 17 and _LAST_ROW.fullmatch(" ".join(row[-4:])) for row in rows):
-            names, rows = [row[0] for row in rows], [row[1:] for row in rows]
-        if {len(row) for row in rows} - set(_PER_FRAME):
-            return None
-    with parsing(path, what):
-        table = torch.tensor([[float(value) for value in row] for row in rows], dtype=torch.float64)
-        if table.shape[1] == 7:
-            poses = matrices(_checked_quaternions(table, path))
-        else:
-            poses = table.reshape(-1, 3 if table.shape[1] == 12 else 4, 4)
-            poses = torch.cat([poses[:, :3], torch.eye(4).double()[3:].expand(len(poses), 1, 4)], 1)
-    if names:
-        return {frame_key(Path(name).stem): pose for name, pose in zip(names, poses, strict=True)}, []
-    if len(poses) == recording.n_frames:
-        return dict(enumerate(poses)), []
-    rows_of, note = _rows_of_frames(path, len(poses), recording, options)
-    return {place: poses[row] for place, row in rows_of.items()}, [note]
-
-
-def _rows_of_frames(
-    path: Path, n_poses: int, recording: Recording, options: ConvertOptions
-) -> tuple[dict[int, int], str]:
-    """Place of a frame -> place of its pose, where there are more or fewer poses than frames, and a note.
-
-    Raises:
-        SequenceError: neither the frames that are converted nor the numbers of the images say it.
-    """
-    n_frames = recording.n_frames
-    converted = range(options.start, options.stop or n_frames, options.every)
-    if len(converted) == n_poses and converted != range(n_frames):
-        told = f"{path}: {n_poses} poses, as many as frames are converted, so each goes to one of these in order"
-        return {place: row for row, place in enumerate(converted)}, told
-    numbers = frame_numbers([Path(frame.source).stem for frame in recording.frames()])
-    rows = None if numbers is None else _rows_by_number(numbers, n_poses)
-    if rows is not None and numbers is not None:
-        told = (
-            f"{path}: {n_poses} poses for {n_frames} frames, so each image has the pose of its number, image "
-            f"{numbers[0]} that of row {rows[0]}, counted from 0"
-        )
-        return dict(enumerate(rows)), told
-    every = n_frames // n_poses
-    regular = f"; of every {every}th frame: --every {every}" if every > 1 and n_frames % n_poses == 0 else ""
-    raise SequenceError(
-        f"{path} holds {n_poses} poses; expected {n_frames}, one per frame, and neither names nor numbers say whose "
-        f"these are; if they are those of the first frames: --stop {n_poses}{regular}; else put the name of its image "
-        "before each pose; --poses none tracks the camera later"
-    )
-
-
-def _rows_by_number(numbers: list[int], n_poses: int) -> list[int] | None:
-    """Place of the pose of each image where a file holds those of more images: that of its number.
-
-    Args:
-        numbers: Of the images, in order, counted from 0, or from 1 where only this fits.
-        n_poses: Poses in the file, from the first image of the recording on.
-
-    Returns:
-        The places, or None: there are fewer poses than images, or the numbers do not fit.
-    """
-    if n_poses <= len(numbers) or len(set(numbers)) < len(numbers):
-        return None
-    if max(numbers) < n_poses:
-        return numbers
-    return [n - 1 for n in numbers] if min(numbers) >= 1 and max(numbers) == n_poses else None
-
-
-def frame_numbers(stems: list[str]) -> list[int] | None:
-    """The number in the name of each image, of several the one that is not the same in all names; None without one."""
-    keys = [frame_key(stem) for stem in stems]
-    if not keys or not all(isinstance(key, tuple) for key in keys) or len({len(key) for key in keys}) != 1:
-        return None
-    varying = [column for column in zip(*keys, strict=True) if len(set(column)) == len(keys)]
-    return [int(n) for n in varying[0]] if len(varying) == 1 else None
-
-
-def _checked_quaternions(rows: Float[Tensor, "N 7"], path: Path) -> Float[Tensor, "N 7"]:
-    """Rows "tx ty tz qx qy qz qw". Raises ``SequenceError`` where the last four are no unit quaternion."""
-    length = rows[:, 3:].norm(dim=1)
-    wrong = ((length - 1).abs() > 1e-2) & torch.isfinite(length)
-    if bool(wrong.any()):
-        i = int(wrong.nonzero()[0])
-        raise SequenceError(
-            f"{path}: pose {i} must be tx ty tz qx qy qz qw with a quaternion of length 1, got one of length "
-            f"{float(length[i]):.3g}; ARKitScenes' times and axes are read from a file that ends in {_ARKIT_SUFFIX}"
-        )
-    return rows
-
-
-_ARKIT_SUFFIX = ".traj"
+ARKIT_SUFFIX = ".traj"
 """Of ARKitScenes: time, rotation as axis times angle in radians, and translation, all world-to-camera."""
 
 
@@ -270,10 +43,6 @@ def _rows_of_arkit(rows: Float[Tensor, "N 7"]) -> Float[Tensor, "N 8"]:
     t_WC = -(R_WC @ rows[:, 4:, None])[..., 0]
     quat_WC = quat_CW * quat_CW.new_tensor([1.0, -1.0, -1.0, -1.0])
     return torch.cat([rows[:, :1], t_WC, quat_WC[:, [1, 2, 3, 0]]], 1)
-
-
-def _numbers_of(path: Path, what: str) -> list[float]:
-    return read_array(path, what).ravel().tolist() if path.suffix == ".npy" else read_numbers(path, what)
 
 
 _TUM = [0, 1, 2, 3, 4, 5, 6, 7]
@@ -333,7 +102,7 @@ def read_trajectory(
         SequenceError: no such file, no rows, a row that is not numeric, times that go back, two poses at one time that
             are far apart, or a quaternion whose length is not 1.
     """
-    if path.suffix == _ARKIT_SUFFIX:
+    if path.suffix == ARKIT_SUFFIX:
         stored, frames = _rows_of_arkit(read_rows(path, 7, "time, axis times angle and translation, 7 numbers")), {}
     else:
         stored, frames = _table(path)

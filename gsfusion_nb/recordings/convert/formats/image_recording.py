@@ -16,11 +16,12 @@ from ....data.recorded.files import calibration_in, first_of, told_outside
 from ....data.recorded.images import read_rgb
 from ....data.sequence import BadFrameError, SequenceError
 from ....files import is_file
+from ..calibration_tree import Tree, tree_of_file
 from ..confidence import confidence_of
 from ..depth_camera import depth_camera_beside, poses_of_a_robot, told_unit
 from ..depth_unit import find_depth_unit, some_depths
 from ..focal_length import estimated_model
-from ..intrinsics import Tree, read_intrinsics, tree_of_file
+from ..intrinsics import read_intrinsics
 from ..recording import ConvertOptions, DepthUnit, RecordedFrame, Recording, check_exr, load_pair, read_depth_file
 from .pairing import FrameFiles
 
