@@ -10,9 +10,10 @@ from gsfusion_nb.compare import Entrant, admission, run_all
 from gsfusion_nb.compare.admission import Admission
 from gsfusion_nb.compare.executors import Task, do_sent_task
 from gsfusion_nb.compare.fresh_check import _clock_is_watched, confine
-from gsfusion_nb.compare.map_scene import Entry
+from gsfusion_nb.compare.map_scene import Entry, _PrivateFrames
 from gsfusion_nb.compare.one_run import run_entry
 from gsfusion_nb.compare.run_all import ResultStore
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import SYSTEMS, GSFusion
 
 RULES = """
@@ -282,6 +283,20 @@ def test_a_rule_that_writes_into_a_frame_fails_and_spoils_no_other(entry, spec, 
         result = run_entry(entry(name))
         assert (result.status, "changed frame.depth_m in place" in result.reason) == ("failed", True)
     assert run_entry(Entry(spec=spec("uniform", seed=5))).map_hash == clean
+
+
+def test_the_images_of_a_run_are_its_own(scene):
+    kept = open_sequence(scene).mapping[0]
+    more = torch.zeros_like(kept.depth_m)
+    sequence = open_sequence(scene, extra=lambda frame: {"more": more})
+    frame = _PrivateFrames(**vars(sequence.mapping))[0]
+    for image in (frame.colour, frame.depth_m, frame.T_WC, frame.extra["more"]):
+        image.fill_(1)
+    again = sequence.mapping[0]
+    assert not more.any()
+    assert torch.equal(again.depth_m, kept.depth_m)
+    assert torch.equal(again.T_WC, kept.T_WC)
+    assert torch.equal(again.colour, kept.colour)
 
 
 def test_a_process_that_loaded_an_older_module_refuses(entry, file):

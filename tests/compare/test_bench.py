@@ -42,6 +42,8 @@ def test_all_sections(small, tmp_path, capsys):
     fused = [row["values"] for row in rows["tsdf"] if "blocks" in row["values"]]
     assert all(values["blocks"] == fused[0]["blocks"] > 0 for values in fused)
     assert any(row["case"].endswith(" / raycast") for row in rows["tsdf"])
+    whole = next(row for row in rows["map"] if " / " not in row["case"])
+    assert whole["timing"]["wall_ms"] == pytest.approx(1e3 / whole["values"]["frames_per_second"])
     stages = [row["case"].partition(" / ")[2] for row in rows["map"]]
     assert stages[: 1 + len(STAGES)] == ["", *STAGES.values()]
 

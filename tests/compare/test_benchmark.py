@@ -1,11 +1,21 @@
 """Data sets by their published protocol: which scenes are found, what is run, and what the table says."""
 
+import re
+
 import pytest
 from box_room import Box
 
 from gsfusion_nb.cli import main as cli
-from gsfusion_nb.compare.benchmark import COLUMNS, DATA_SETS, BenchmarkOptions, benchmark_specs, report, scenes_in
-from gsfusion_nb.compare.spec import RunResult
+from gsfusion_nb.compare.benchmark import (
+    COLUMNS,
+    DATA_SETS,
+    BenchmarkOptions,
+    _card,
+    benchmark_specs,
+    report,
+    scenes_in,
+)
+from gsfusion_nb.compare.spec import RunResult, RunSpec
 
 QUICK = ("optim.global_iterations=1", "sh_degree=0", "tsdf.voxel_size_m=0.08", "seeding.quadtree_contrast=std")
 
@@ -23,8 +33,25 @@ def test_scenes_are_found_by_their_files(replica):
     assert list(scenes_in(replica, "replica")) == ["mine", "office1", "room0"]
     assert list(scenes_in(replica.parent, "replica")) == ["data-mine", "data-office1", "data-room0"]
     assert scenes_in(replica / "room0", "replica") == {"room0": replica / "room0"}
+    Box().replica(replica / "room0/copies/earlier")  # what lies inside a scene is no other scene
+    assert list(scenes_in(replica, "replica")) == ["mine", "office1", "room0"]
     with pytest.raises(FileNotFoundError, match=r"no scene in the layout tum; expected a folder with rgb\.txt"):
         scenes_in(replica, "tum")
+
+
+@pytest.mark.parametrize(
+    ("frames", "seeds", "words"),
+    [((7,), (0, 0), "7 frames mapped a scene, .* 1 seed"), ((7, 2500), (0, 1), "7 to 2,500 frames .* 2 seeds")],
+)
+def test_a_row_says_its_frames_and_seeds(frames, seeds, words):
+    own = [
+        RunResult(spec=RunSpec(rule="uniform", seed=seed), status="done", metrics={"n_frames": float(n)})
+        for n in frames
+        for seed in seeds
+    ]
+    said = _card("ours", own, DATA_SETS["replica"], {})
+    assert re.fullmatch(f"ours: {words}", said)
+    assert _card("ours", own, DATA_SETS["replica"], {"sh_degree": 0}) == f"{said}; changed: sh_degree=0"
 
 
 @pytest.mark.parametrize("name", DATA_SETS)

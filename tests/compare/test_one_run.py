@@ -1,6 +1,7 @@
 """One run of the lab: equal steps for every rule, budgets that are reached, failures as rows, equal numbers."""
 
 import dataclasses
+import inspect
 import itertools
 import math
 from collections.abc import Mapping
@@ -9,12 +10,14 @@ from typing import Any, ClassVar
 
 import pytest
 
-from gsfusion_nb.compare import Budget, RunSpec, map_scene
-from gsfusion_nb.compare.map_scene import Entry
+from gsfusion_nb.compare import Budget, RunSpec, map_scene, one_run
+from gsfusion_nb.compare.map_scene import Entry, _paced
 from gsfusion_nb.compare.one_run import run_entry, run_spec
 from gsfusion_nb.compare.outputs import Results
 from gsfusion_nb.compare.schedule import EQUAL_KEYFRAME_EVERY
 from gsfusion_nb.compare.spec import MEASURED
+from gsfusion_nb.config import gsfusion
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.evaluation import score_view
 from gsfusion_nb.runs import scored_views
 from gsfusion_nb.seeding import MapRule
@@ -194,3 +197,30 @@ def test_in_the_equal_schedule_a_rule_for_keyframes_has_those_of_its_release(spe
     assert result.status == "done"
     assert [n for n in result.notes if n.startswith("asked")] == notes
     assert result.metrics["n_keyframes"] == (2 if steps == "equal" else 5)
+
+
+@pytest.mark.parametrize(("stride", "given", "used"), [(1, 0, 6), (2, 0, 12), (1, 7, 7)])
+def test_the_rooms_frames_are_as_far_apart_as_they_were_seen(stride, given, used):
+    """240 frames of a walk of 49 s: six frames of a camera with 30 Hz from one to the next; a setting stays."""
+    config = gsfusion("room", data__stride=stride, seeding__source_stride=given)
+    sequence = open_sequence("room", n_frames=240, width=16, height=12, data=config.data)
+    assert _paced(config, sequence).seeding.source_stride == used
+
+
+@pytest.mark.parametrize(("errors", "runs", "error"), [((0.5, 0.001), 7, 0.1), ((0.001,), 4, 0.1)])
+def test_a_run_that_misses_its_size_is_tuned_once_more_with_its_own_seed(monkeypatch, errors, runs, error):
+    entry = Entry(spec=RunSpec(rule="uniform", seed=5, budget=Budget(gaussians=1000)))
+    seeds, left = [], iter([*errors, errors[-1]])
+
+    def tuned_again(entry, on_step):
+        seeds.append(entry.spec.seed)
+        return {"n_runs": 3}
+
+    monkeypatch.setattr(one_run, "tune", tuned_again)
+    monkeypatch.setattr(one_run, "with_tuned", lambda entry, tuned: entry)
+    monkeypatch.setattr(one_run, "_mapped", lambda entry, tuned, on_step: tuned)
+    monkeypatch.setattr(one_run, "_error", lambda mapped, budget: next(left))
+    monkeypatch.setattr(one_run, "_result", lambda entry, mapped, numbers, folder: numbers)
+    numbers: Any = inspect.unwrap(one_run.run_entry)(entry, None, {"n_runs": 4})
+    assert numbers == {"n_runs": runs, "error_percent": pytest.approx(error)}
+    assert seeds == [5] * (len(errors) - 1)

@@ -60,3 +60,27 @@ def test_each_change_of_the_program_has_a_key_of_its_own(monkeypatch, key, owner
     assert len(set(keys)) == 3
     assert keys[2] == keys[3]
     assert key() == keys[0]
+
+
+def test_the_source_of_the_package_is_part_of_the_key(monkeypatch, tmp_path):
+    """Content and name of each file of code; not copies that JupyterLab makes, nor files of other kinds."""
+    monkeypatch.setattr(program, "_source_folders", lambda: [tmp_path])
+    found = []
+
+    def write(name, text):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+        program.package_fingerprint.cache_clear()
+        found.append(program.package_fingerprint())
+
+    write("a.py", "X = 1\n")
+    for name, text in ((".ipynb_checkpoints/a.py", "X = 2\n"), ("notes.txt", "")):
+        write(name, text)
+    assert len(set(found)) == 1
+    for name, text in (("a.py", "X = 2\n"), ("b.py", ""), ("sub/b.toml", ""), ("sub/b.cu", "")):
+        write(name, text)
+    assert len(set(found)) == 5
+    (tmp_path / "b.py").rename(tmp_path / "c.py")
+    write("a.py", "X = 2\n")
+    assert len(set(found)) == 6
+    program.package_fingerprint.cache_clear()

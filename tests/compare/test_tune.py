@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from gsfusion_nb.compare import Budget, Entrant, RunSpec, tune
-from gsfusion_nb.compare.map_scene import map_scene, thinned
+from gsfusion_nb.compare.map_scene import _draw, map_scene, thinned
 from gsfusion_nb.compare.tune import SIZE_OPTIONS, NotReachedError, nearest, search, size_option, start_value, with_size
 from gsfusion_nb.seeding import MapRule, SeedContext, apply_rule, is_built_in, registered
-from gsfusion_nb.types import Camera, Frame
+from gsfusion_nb.types import Camera, Frame, Seeds
 
 WITHOUT = {"dense"}
 
@@ -28,6 +28,31 @@ def test_the_option_exists_and_its_usual_value_is_in_range(name):
     assert start_value(smaller, rule, option) < start
     assert smaller.label == spec.label
     smaller.config()
+
+
+RANGES = [
+    ("share", 0.25, (1e-5, 1.0)),
+    ("share", 1.0, (1e-5, 1.0)),
+    ("width_px", 1.5, (1.5e-4, 1.5e4)),
+    ("seeding.quadtree_threshold", 0.5, (5e-5, 5e3)),
+    ("every", 3, (1, 3000)),
+    (tune.THIN, 0.5, (1e-5, 1.0)),
+]
+
+
+@pytest.mark.parametrize(("name", "start", "expected"), RANGES)
+def test_the_range_of_an_option_follows_from_its_usual_value(monkeypatch, name, start, expected):
+    """A share is at most 1; a number with a unit may be 10,000 times larger or smaller."""
+    monkeypatch.setattr(tune, "start_value", lambda *_: start)
+    assert tune._usual_range(RunSpec(rule="uniform"), registered()["uniform"], name) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("n", "share", "kept"), [(11, 0.25, 3), (10, 0.24, 2), (7, 0.0, 0), (7, 1.0, 7)])
+def test_a_share_is_rounded_to_the_nearest_number(n, share, kept):
+    seeds = Seeds.isotropic(torch.arange(3.0 * n).view(n, 3), torch.full((n, 3), 0.5), torch.ones(n), opacity=0.5)
+    some = _draw(seeds, share, torch.Generator().manual_seed(0))
+    assert len(some) == kept
+    assert some.xyz_W[:, 0].tolist() == sorted(set(some.xyz_W[:, 0].tolist()))
 
 
 @pytest.mark.parametrize("name", ["edge_discs", "edge_strokes"])

@@ -1,5 +1,6 @@
 """Loss, optimiser, passes and fits of poses and exposures."""
 
+import contextlib
 import copy
 import dataclasses
 import itertools
@@ -104,6 +105,61 @@ def test_a_checkpoint_names_them_and_wants_them_again(name):
     [note] = system.from_state_dict(state, loss=own_l1, optimiser=sgd).notes
     assert "own_l1" in note
     assert "charbonnier" in note
+
+
+@pytest.mark.parametrize(("name", "kind"), [("gsfusion", "loss"), ("rtg_slam", "optimiser"), ("gps_slam", "loss")])
+def test_what_fails_in_the_middle_of_a_frame_leaves_the_map_as_it_was(name, kind, same):
+    """The third call in a frame fails; then the frame can be given again."""
+    calls = [0]
+    given = {"loss": charbonnier, "optimiser": sgd}[kind]
+
+    def breaking(*args, **options):
+        calls[0] += 1
+        if calls[0] == 3:
+            raise ArithmeticError("my function is broken")
+        return given(*args, **options)
+
+    config = SYSTEMS[name]
+    mapper = make_mapper(config, **{kind: breaking})
+    for frame in open_sequence("room", n_frames=240, data=config.data).mapping:
+        before = copy.deepcopy(maps_of(mapper))
+        calls[0] = 0
+        with contextlib.suppress(ArithmeticError):
+            mapper.step(frame)
+        if calls[0] == 3:
+            break
+    assert calls[0] == 3
+    same(before, maps_of(mapper))
+    mapper.step(frame)
+
+
+def test_with_more_frames_the_passes_begin_again_and_an_undo_restores_all_counts():
+    config = SYSTEMS["gsfusion"]
+    frames = list(open_sequence("room", n_frames=240, data=config.data).mapping)
+    mapper = make_mapper(config)
+    for frame in frames[:3]:
+        mapper.step(frame)
+    next(mapper.global_optimise(1))
+    assert mapper.passes.begun
+    mapper.step(frames[3])
+    assert not mapper.passes.begun
+
+    def counts():
+        return mapper.lost.total, mapper.after_steps.taken, mapper._steps_missed, len(mapper.keyframes)
+
+    before, undo = counts(), mapper._undo()
+    mapper.lost.total += 5
+    mapper.after_steps.taken += 3
+    mapper._steps_missed = not mapper._steps_missed
+    mapper.keyframes.append(frames[4], with_depth=True)
+    assert all(a != b for a, b in zip(before, counts(), strict=True))
+    undo()
+    assert counts() == before
+
+
+def maps_of(mapper):
+    """The state of a mapper but for the code of what was given, which counts its calls."""
+    return {name: value for name, value in mapper.state_dict().items() if name != "training"}
 
 
 def visits(passes: KeyframePasses, n: int, keyframes: int, generator, limit: int | None = None) -> list[int]:

@@ -73,6 +73,21 @@ def test_the_volume_is_that_of_the_corrected_poses(frames):
     assert moved_m == pytest.approx([0, 1.15 * VOXEL_M, 2.3 * VOXEL_M], abs=1e-5)
 
 
+def test_the_window_of_rtg_slam_and_the_tracker_move_with_a_loop(frames):
+    mapper = RTGSLAM(rtg_slam("room", tracking=TRACKING))
+    for frame in frames:
+        mapper.step(frame)
+    assert [f.index for f in mapper.window] == mapper.localiser.frame_indices
+    before = mapper.localiser.poses[-1].clone()
+    correct(mapper, 0.05)
+    for frame, T_WC in zip(mapper.window, mapper.localiser.poses, strict=True):
+        torch.testing.assert_close(frame.T_WC, T_WC)
+    torch.testing.assert_close(mapper.localiser.poses[-1][:3, 3] - before[:3, 3], torch.tensor([0.05, 0, 0]))
+    last = mapper.localiser._tracker._last
+    assert last is not None
+    torch.testing.assert_close(last.T_WC.float(), mapper.localiser.poses[-1], atol=1e-5, rtol=0)
+
+
 def test_a_state_goes_on_with_its_frames(frames):
     mapper = mapped(frames)
     again = GSFusion.from_state_dict(mapper.state_dict())

@@ -147,6 +147,16 @@ def test_correct_moves_the_end_of_the_path(plane_scene, assert_pose):
         tracker.correct(2 * torch.eye(4))
 
 
+def test_correct_moves_the_frame_that_a_hybrid_target_is_mixed_with(plane_scene, assert_pose):
+    scene = plane_scene("corner")
+    tracker = Tracker(TrackingConfig(target="hybrid"))
+    track_all(tracker, scene, path(1))
+    change = se3.exp(torch.tensor([1.0, 2.0, 3.0, 0.5, 0.0, 0.1]).double())
+    tracker.correct(change)
+    tracker._target(scene)(scene.frame(path(1)[0], 1).camera, torch.eye(4))
+    assert_pose(scene.rendered[-1], change @ path(1)[0], 1e-6, 1e-4)
+
+
 @pytest.mark.parametrize("target", ["model", "hybrid"])
 def test_state_round_trip_goes_on_the_same(plane_scene, target):
     scene, config = plane_scene("corner"), TrackingConfig(target=target)

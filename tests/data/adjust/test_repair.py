@@ -11,6 +11,7 @@ from gsfusion_nb.config import DataConfig, RepairConfig, from_dict, to_dict
 from gsfusion_nb.config.parts import AXES, NAMED_AXES
 from gsfusion_nb.data import BadFrameError, SequenceError, folder, open_sequence, repaired
 from gsfusion_nb.data.adjust.poses import pose_between, reread_poses
+from gsfusion_nb.data.adjust.repair import shifted_colour
 from gsfusion_nb.geometry import quaternion, se3
 
 
@@ -186,3 +187,14 @@ def test_flags_name_what_differs():
     saved = to_dict(DataConfig(repair=repair))
     saved["repair"]["skip"] = [3, 4]  # as JSON gives it back
     assert from_dict(DataConfig, saved) == DataConfig(repair=repair)
+
+
+@pytest.mark.parametrize("size", [(12, 16), (13, 17)])
+def test_colour_is_scaled_about_the_middle_of_the_picture(generator, size):
+    """So a picture that equals its mirror image does so afterwards, too."""
+    half = torch.rand(*size, 3, generator=generator)
+    symmetric = half + half.flip(0) + half.flip(1) + half.flip((0, 1))
+    scaled = shifted_colour(symmetric, RepairConfig(rgb_scale=0.8))
+    assert not torch.equal(scaled, symmetric)
+    for axes in ((0,), (1,)):
+        torch.testing.assert_close(scaled.flip(axes), scaled, atol=0.05, rtol=0)

@@ -203,6 +203,15 @@ def test_what_comes_after_later_frames_is_left_out_and_named(writer):
     assert len(found) == 5
 
 
+def test_hidden_files_are_no_frames(writer):
+    """As programs that copy or edit leave them for a while."""
+    (writer.target / "rgb/.000000.jpg").write_bytes((writer.source / "rgb/000003.jpg").read_bytes())
+    (writer.target / "depth/.000000.png").write_bytes((writer.source / "depth/000003.png").read_bytes())
+    writer.then(writer.camera(), writer.rgb(1), writer.depth(1), writer.stop)
+    [frame] = everything(follow(writer, poses=False))
+    torch.testing.assert_close(frame.depth_m, folder(writer.source)[1].depth_m)
+
+
 def test_without_poses_the_camera_is_to_be_tracked(writer):
     writer.then(writer.camera(), writer.rgb(0), writer.depth(0), writer.stop)
     source = follow(writer, poses=False)
