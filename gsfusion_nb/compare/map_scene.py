@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import itertools
 import json
 import time
 from collections.abc import Callable, Generator
@@ -317,7 +318,8 @@ def _warm_up(sequence: OpenedSequence, config: SystemConfig, device: str) -> Non
     if name not in _warm:
         _warm.add(name)
         plain = with_settings(config, {"seeding.rule": "uniform", "seeding.options": {"coverage": False}})
-        for _ in zip(range(2), MappingRun(sequence, make_mapper(plain, device=device)).online()):  # noqa: B905
+        run = MappingRun(sequence, make_mapper(plain, device=device))
+        for _ in itertools.islice(run.online(), 2):
             pass
 
 

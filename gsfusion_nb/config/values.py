@@ -149,7 +149,8 @@ def check_kinds(group: str, config: Any) -> None:
     """Raise ``ValueError`` unless words are among those a field lists, whole numbers whole, switches booleans, and
     numbers in their range."""
     for f in dataclasses.fields(config):
-        name, value = f"{group}.{f.name}".removeprefix("."), getattr(config, f.name)
+        name = f"{group}.{f.name}".removeprefix(".")
+        value = getattr(config, f.name)
         words = typing.get_args(f.type) if typing.get_origin(f.type) is typing.Literal else ()
         if words and value not in words:
             raise ValueError(f"{name} must be one of {', '.join(words)}, got {shown(value)}")

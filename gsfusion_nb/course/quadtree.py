@@ -62,7 +62,8 @@ def contrast(attempt: Attempt) -> None:
     plain = torch.full((4, 4, 3), 90, dtype=torch.uint8)
     attempt.close(attempt(plain, 90_000), 0.0, "a plain cell has no contrast", tolerance=1e-9)
     mixed = torch.zeros(4, 4, 3, dtype=torch.uint8)
-    mixed[:2, :, 0], mixed[2:, :, 1] = 255, 130
+    mixed[:2, :, 0] = 255
+    mixed[2:, :, 1] = 130
     right = (0.2989 * 127.5**2 + 0.5870 * 65.0**2) / 1000
     got = float(attempt.on("half red (255, 0, 0), half green (0, 130, 0): almost the same brightness")(mixed, 90_000))
     prop = "different colours of the same brightness have contrast, too"
@@ -72,7 +73,8 @@ def contrast(attempt: Attempt) -> None:
     attempt.holds(abs(twice - 2) < 1e-3, prop, detail=f"it grows {twice:.3g} times")
     attempt.on("half of the cell 80, half 100 in red, green and blue constant, image of 90,000 pixels")
     red = plain.clone()
-    red[:2, :, 0], red[2:, :, 0] = 80, 100
+    red[:2, :, 0] = 80
+    red[2:, :, 0] = 100
     prop = "the variance is divided by the number of pixels, and red weighs 0.2989"
     attempt.close(attempt(red, 90_000), 0.2989 * 100 / 1000, prop, tolerance=1e-4)
     attempt.on("the cell half red, half green")

@@ -179,7 +179,9 @@ def adding_masks(attempt: Attempt) -> None:
     attempt.holds(surface[0, 4], "what is measured counts, near or far, where the map has nothing", detail=detail)
     on = "colours that are off by 0.08 and 0.12 on average, and by 0.24 in one channel of three"
     nearly = grey.clone()
-    nearly[0, 1], nearly[0, 2], nearly[0, 3, 0] = grey[0, 1] + 0.08, grey[0, 2] - 0.12, 0.74
+    nearly[0, 1] = grey[0, 1] + 0.08
+    nearly[0, 2] = grey[0, 2] - 0.12
+    nearly[0, 3, 0] = 0.74
     _, colour = ask(on, [0.0] * 5, [2.0] * 5, [2.0] * 5, nearly)
     attempt.close(colour, [[0, 0, 1, 0, 0]], "the colour error is the mean of the three channels, and its limit is 0.1")
     surface, colour = ask("the same without any measured depth", [0.9] * 5, [0.0] * 5, [0.0] * 5, other)

@@ -199,7 +199,8 @@ def _as_constant_velocity(yours: Yours, T_before: Tensor, T_last: Tensor, ratio:
 )  # fmt: skip
 def predict(attempt: Attempt) -> None:
     """Where will the camera be next, if its motion continues?"""
-    eye, ahead = torch.eye(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)
+    eye = torch.eye(4, dtype=torch.float64)
+    ahead = torch.eye(4, dtype=torch.float64)
     ahead[2, 3] = 0.1
     got = attempt.on("10 cm forward since the frame before")(eye, ahead)
     attempt.holds(

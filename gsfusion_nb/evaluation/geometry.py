@@ -250,7 +250,8 @@ def cull_unseen(mesh: Mesh, frames: Iterable[Frame]) -> Mesh:
     """
     n = len(mesh.vertices_W)
     points = MAP_MEMORY.rows(n + len(mesh.faces), 3, dtype=mesh.vertices_W.dtype, device=mesh.vertices_W.device)
-    points[:n], points[n:] = mesh.vertices_W, _of_faces(mesh, lambda corners: corners.mean(1), 3)
+    points[:n] = mesh.vertices_W
+    points[n:] = _of_faces(mesh, lambda corners: corners.mean(1), 3)
     seen = seen_by(points, frames)
     faces = _picked(mesh.faces, seen[:n][mesh.faces.long()].any(1) | seen[n:])
     used = torch.zeros(n, dtype=torch.bool, device=faces.device)

@@ -67,7 +67,8 @@ def write_mesh_ply(path: str | Path, mesh: Mesh) -> None:
             file.write(vertices.tobytes())
         for part in mesh.faces.split(_ROWS):
             faces = np.zeros(len(part), dtype=_FACE)
-            faces["count"], faces["vertices"] = 3, part.cpu().numpy()
+            faces["count"] = 3
+            faces["vertices"] = part.cpu().numpy()
             file.write(faces.tobytes())
 
 

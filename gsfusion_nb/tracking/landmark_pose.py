@@ -190,7 +190,9 @@ def point_errors(
     u, v = c.fx * y[:, 0] * d, c.fy * y[:, 1] * d
     e = np.stack([w * (u + c.cx - uv[:, 0]), w * (v + c.cy - uv[:, 1]), w_d * (d - inverse_depth)], 1)
     J = np.zeros((len(y), 3, 3))
-    J[:, 0, 0], J[:, 0, 2] = w * c.fx * d, -w * u * d
-    J[:, 1, 1], J[:, 1, 2] = w * c.fy * d, -w * v * d
+    J[:, 0, 0] = w * c.fx * d
+    J[:, 0, 2] = -w * u * d
+    J[:, 1, 1] = w * c.fy * d
+    J[:, 1, 2] = -w * v * d
     J[:, 2, 2] = -w_d * d * d
     return e, J

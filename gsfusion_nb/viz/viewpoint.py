@@ -61,7 +61,9 @@ def orbit_camera(
     outwards = math.cos(elevation) * r + math.sin(elevation) * up
     right = torch.linalg.cross(up, r)
     T = torch.eye(4, dtype=torch.float64)
-    T[:3, 0], T[:3, 1], T[:3, 2] = right, torch.linalg.cross(-outwards, right), -outwards
+    T[:3, 0] = right
+    T[:3, 1] = torch.linalg.cross(-outwards, right)
+    T[:3, 2] = -outwards
     T[:3, 3] = target + distance_m * outwards
     return T.to(torch.float32)
 

@@ -284,10 +284,8 @@ def _cells(marks, size):
         if words[w] != 0:
             for i in range(8 * w, 8 * w + 8):
                 if marks[i]:
-                    cells[k, 0], cells[k, 1], cells[k, 2] = (
-                        i // (size[1] * size[2]),
-                        i // size[2] % size[1],
-                        i % size[2],
-                    )
+                    cells[k, 0] = i // (size[1] * size[2])
+                    cells[k, 1] = i // size[2] % size[1]
+                    cells[k, 2] = i % size[2]
                     k += 1
     return cells

@@ -16,13 +16,18 @@ def tile_windows(pixels, width, height):
     tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
     masked = pixels.shape[0] > 0
     windows = np.empty((tiles_x * tiles_y if masked else 0, 4), np.int32)
-    windows[:, FIRST_X], windows[:, LAST_X], windows[:, FIRST_Y], windows[:, LAST_Y] = width, -1, height, -1
+    windows[:, FIRST_X] = width
+    windows[:, LAST_X] = -1
+    windows[:, FIRST_Y] = height
+    windows[:, LAST_Y] = -1
     for y in range(pixels.shape[0]):
         for x in range(width):
             if pixels[y, x]:
                 window = windows[(y // TILE) * tiles_x + x // TILE]
-                window[FIRST_X], window[LAST_X] = min(window[FIRST_X], x), max(window[LAST_X], x)
-                window[FIRST_Y], window[LAST_Y] = min(window[FIRST_Y], y), y
+                window[FIRST_X] = min(window[FIRST_X], x)
+                window[LAST_X] = max(window[LAST_X], x)
+                window[FIRST_Y] = min(window[FIRST_Y], y)
+                window[LAST_Y] = y
     sums = np.zeros((tiles_y + 1, tiles_x + 1), np.int32)
     for ty in range(tiles_y):
         for tx in range(tiles_x):

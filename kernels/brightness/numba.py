@@ -86,9 +86,14 @@ def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns
         g0 = R[0, 0] * a + R[0, 1] * b + R[0, 2] * c
         g1 = R[1, 0] * a + R[1, 1] * b + R[1, 2] * c
         g2 = R[2, 0] * a + R[2, 1] * b + R[2, 2] * c
-        columns[0, k], columns[1, k], columns[2, k] = g0, g1, g2
-        columns[3, k], columns[4, k], columns[5, k] = p1 * g2 - p2 * g1, p2 * g0 - p0 * g2, p0 * g1 - p1 * g0
-        columns[6, k], columns[7, k] = w * r, w
+        columns[0, k] = g0
+        columns[1, k] = g1
+        columns[2, k] = g2
+        columns[3, k] = p1 * g2 - p2 * g1
+        columns[4, k] = p2 * g0 - p0 * g2
+        columns[5, k] = p0 * g1 - p1 * g0
+        columns[6, k] = w * r
+        columns[7, k] = w
         k += 1
     return k
 

@@ -182,8 +182,11 @@ def _clear(x0, y0, image, indices):
     height, width = image.depth.shape
     for y in range(y0, min(y0 + pair.TILE, height)):
         for x in range(x0, min(x0 + pair.TILE, width)):
-            image.rgb[y, x, 0], image.rgb[y, x, 1], image.rgb[y, x, 2] = ZERO, ZERO, ZERO
-            image.depth[y, x], image.alpha[y, x] = ZERO, ZERO
+            image.rgb[y, x, 0] = ZERO
+            image.rgb[y, x, 1] = ZERO
+            image.rgb[y, x, 2] = ZERO
+            image.depth[y, x] = ZERO
+            image.alpha[y, x] = ZERO
     for index in (indices.first, indices.dominant, indices.hit):
         if index.shape[0] > 0:
             index[y0 : y0 + pair.TILE, x0 : x0 + pair.TILE] = -1
@@ -281,7 +284,8 @@ def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sum
                 for i in range(pair.PAIR_SUMS):
                     out[i] = ZERO
                 if abs_sums is not None:
-                    abs_sums[slot[k], 0], abs_sums[slot[k], 1] = ZERO, ZERO
+                    abs_sums[slot[k], 0] = ZERO
+                    abs_sums[slot[k], 1] = ZERO
                 continue
             s = splats[ids[k]]
             if all_trained or trained[ids[k]]:
@@ -367,14 +371,19 @@ def _add_up(state, rows_open, s, place, out, abs_sums, slot):
             rows_open[r] = 0
             finished += 1
     gx = sum_g * dx
-    out[pair.SUM_GX], out[pair.SUM_GY] = reduce_add(gx), reduce_add(sum_gy)
-    out[pair.SUM_GXX], out[pair.SUM_GXY] = reduce_add(gx * dx), reduce_add(sum_gy * dx)
+    out[pair.SUM_GX] = reduce_add(gx)
+    out[pair.SUM_GY] = reduce_add(sum_gy)
+    out[pair.SUM_GXX] = reduce_add(gx * dx)
+    out[pair.SUM_GXY] = reduce_add(sum_gy * dx)
     out[pair.SUM_GYY] = reduce_add(sum_gyy)
-    out[pair.SUM_G], out[pair.SUM_DEPTH] = reduce_add(sum_g), reduce_add(sum_z)
-    out[pair.SUM_RED], out[pair.SUM_GREEN] = reduce_add(sum_r), reduce_add(sum_gr)
+    out[pair.SUM_G] = reduce_add(sum_g)
+    out[pair.SUM_DEPTH] = reduce_add(sum_z)
+    out[pair.SUM_RED] = reduce_add(sum_r)
+    out[pair.SUM_GREEN] = reduce_add(sum_gr)
     out[pair.SUM_BLUE] = reduce_add(sum_b)
     if abs_sums is not None:
-        abs_sums[slot, 0], abs_sums[slot, 1] = -reduce_add(minus_u), -reduce_add(minus_v)
+        abs_sums[slot, 0] = -reduce_add(minus_u)
+        abs_sums[slot, 1] = -reduce_add(minus_v)
     return finished
 
 

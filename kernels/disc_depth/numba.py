@@ -161,7 +161,9 @@ def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
             d[P_DOT_N] = d[P_X] * d[N_X] + d[P_Y] * d[N_Y] + d[P_Z] * d[N_Z]
             d[MAX_OFFSET_M] = max_offset * math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2]))
             side = -_ONE if d[P_DOT_N] > _ZERO else _ONE
-            d[NORMAL_X], d[NORMAL_Y], d[NORMAL_Z] = side * n0, side * n1, side * n2
+            d[NORMAL_X] = side * n0
+            d[NORMAL_Y] = side * n1
+            d[NORMAL_Z] = side * n2
     return discs
 
 
@@ -184,13 +186,17 @@ def _meet_all(discs, hit, view, min_cosine, depth, normal, on_plane):
         y = (f32(j) + _HALF - view.cy) / view.fy
         for i in range(W):
             depth[j, i], on_plane[j, i] = _ZERO, False
-            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = _ZERO, _ZERO, _ZERO
+            normal[j, i, 0] = _ZERO
+            normal[j, i, 1] = _ZERO
+            normal[j, i, 2] = _ZERO
             if hit[j, i] < 0:
                 continue
             d = discs[hit[j, i]]
             x = (f32(i) + _HALF - view.cx) / view.fx
             depth[j, i], _, on_plane[j, i] = _meet(d, x, y, min_cosine)
-            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = d[NORMAL_X], d[NORMAL_Y], d[NORMAL_Z]
+            normal[j, i, 0] = d[NORMAL_X]
+            normal[j, i, 1] = d[NORMAL_Y]
+            normal[j, i, 2] = d[NORMAL_Z]
 
 
 @njit(cache=True, error_model="numpy")
@@ -270,5 +276,7 @@ def _axis_vjp(quat, e, v, out):
     v_y = 2.0 * (ue * v[1] + uv * e[1] - ev * y + w * (e[2] * v[0] - e[0] * v[2]))
     v_z = 2.0 * (ue * v[2] + uv * e[2] - ev * z + w * (e[0] * v[1] - e[1] * v[0]))
     along = w * v_w + x * v_x + y * v_y + z * v_z
-    out[0], out[1] = (v_w - w * along) / norm, (v_x - x * along) / norm
-    out[2], out[3] = (v_y - y * along) / norm, (v_z - z * along) / norm
+    out[0] = (v_w - w * along) / norm
+    out[1] = (v_x - x * along) / norm
+    out[2] = (v_y - y * along) / norm
+    out[3] = (v_z - z * along) / norm

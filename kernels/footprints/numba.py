@@ -40,7 +40,8 @@ def _radii(params, cam, radius):
             opacity = _ONE / (_ONE + math.exp(-logit[i]))
             if not (z > _NEAR and opacity >= _ALPHA_MIN):
                 continue
-            s[DEPTH], s[LN_OPACITY] = z, math.log(opacity)
+            s[DEPTH] = z
+            s[LN_OPACITY] = math.log(opacity)
             if not _project(cam, x, y, z, log_scale[i], quat[i], s):
                 continue
             across = s[U] + s[EXTENT_U] > _ZERO and s[U] - s[EXTENT_U] < cam[WIDTH]

@@ -22,17 +22,26 @@ def basis_into(x, y, z, K, Y):
     Y[0] = _C0
     if K < 4:
         return
-    Y[1], Y[2], Y[3] = -_C1 * y, _C1 * z, -_C1 * x
+    Y[1] = -_C1 * y
+    Y[2] = _C1 * z
+    Y[3] = -_C1 * x
     if K < 9:
         return
     xx, yy, zz = x * x, y * y, z * z
-    Y[4], Y[5], Y[6] = _C20 * x * y, -_C20 * y * z, _C21 * (_2 * zz - xx - yy)
-    Y[7], Y[8] = -_C20 * x * z, _C22 * (xx - yy)
+    Y[4] = _C20 * x * y
+    Y[5] = -_C20 * y * z
+    Y[6] = _C21 * (_2 * zz - xx - yy)
+    Y[7] = -_C20 * x * z
+    Y[8] = _C22 * (xx - yy)
     if K < 16:
         return
-    Y[9], Y[10], Y[11] = -_C30 * y * (_3 * xx - yy), _C31 * x * y * z, -_C32 * y * (_4 * zz - xx - yy)
-    Y[12], Y[13] = _C33 * z * (_2 * zz - _3 * xx - _3 * yy), -_C32 * x * (_4 * zz - xx - yy)
-    Y[14], Y[15] = _C34 * z * (xx - yy), -_C30 * x * (xx - _3 * yy)
+    Y[9] = -_C30 * y * (_3 * xx - yy)
+    Y[10] = _C31 * x * y * z
+    Y[11] = -_C32 * y * (_4 * zz - xx - yy)
+    Y[12] = _C33 * z * (_2 * zz - _3 * xx - _3 * yy)
+    Y[13] = -_C32 * x * (_4 * zz - xx - yy)
+    Y[14] = _C34 * z * (xx - yy)
+    Y[15] = -_C30 * x * (xx - _3 * yy)
 
 
 @njit(cache=True, error_model="numpy")

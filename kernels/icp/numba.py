@@ -134,8 +134,11 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
         columns[_RESIDUAL, k] = w * (e0 * n0 + e1 * n1 + e2 * n2)
         columns[_WEIGHT, k] = w
         n0, n1, n2 = w * n0, w * n1, w * n2
-        columns[_N_X, k], columns[_N_Y, k], columns[_N_Z, k] = n0, n1, n2
-        columns[_M_X, k], columns[_M_Y, k] = p1 * n2 - p2 * n1, p2 * n0 - p0 * n2
+        columns[_N_X, k] = n0
+        columns[_N_Y, k] = n1
+        columns[_N_Z, k] = n2
+        columns[_M_X, k] = p1 * n2 - p2 * n1
+        columns[_M_Y, k] = p2 * n0 - p0 * n2
         columns[_M_Z, k] = p0 * n1 - p1 * n0
         n_inliers += 1
     return n_inliers, n_overlap

@@ -83,7 +83,8 @@ def _sums(rows, T, lens, centre, H, b):
             slope = sigma * known / lens.fx
             w_d = 1.0 / np.sqrt(_DEPTH_VARIANCE + slope * slope)
         u, v = lens.fx * x * d, lens.fy * y * d
-        e[0], e[1] = w * (u + lens.cx - rows.uv[p, 0]), w * (v + lens.cy - rows.uv[p, 1])
+        e[0] = w * (u + lens.cx - rows.uv[p, 0])
+        e[1] = w * (v + lens.cy - rows.uv[p, 1])
         e[2] = w_d * (d - known)
         a_u, a_v, c_u, c_v, c_d = w * lens.fx * d, w * lens.fy * d, -w * u * d, -w * v * d, -w_d * d * d
         for k in range(3):

@@ -192,7 +192,9 @@ def gradient_planes(image, base, behind, v_rgb, planes):
             total, D = base.weight[y, x] + image.weight[y, x], base.depth[y, x]
             per = ONE / total if total > ZERO else ZERO
             red, green, blue = v_rgb[y, x, 0] * per, v_rgb[y, x, 1] * per, v_rgb[y, x, 2] * per
-            planes[Q_RED, y, x], planes[Q_GREEN, y, x], planes[Q_BLUE, y, x] = red, green, blue
+            planes[Q_RED, y, x] = red
+            planes[Q_GREEN, y, x] = green
+            planes[Q_BLUE, y, x] = blue
             qC = red * image.rgb[y, x, 0] + green * image.rgb[y, x, 1] + blue * image.rgb[y, x, 2]
             planes[MINUS_QC, y, x] = -qC
             planes[LIMIT, y, x] = D + behind if D > ZERO else _INFINITE

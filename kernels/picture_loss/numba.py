@@ -58,7 +58,8 @@ def _row(rgb, target, v_rgb, scale, sums):
         v_rgb[i] = (scale if gap > f32(0.0) else f32(0.0)) - (scale if gap < f32(0.0) else f32(0.0))
         off = min(max(rgb[i], f32(0.0)), f32(1.0)) - target[i]
         square += off * off
-    sums[_VALUE], sums[_SQUARE] = absolute, square
+    sums[_VALUE] = absolute
+    sums[_SQUARE] = square
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc"})
@@ -71,4 +72,5 @@ def _squared_row(rgb, target, v_rgb, scale, sums):
         v_rgb[i] = gap * scale
         off = min(max(rgb[i], f32(0.0)), f32(1.0)) - target[i]
         square += off * off
-    sums[_VALUE], sums[_SQUARE] = value, square
+    sums[_VALUE] = value
+    sums[_SQUARE] = square

@@ -158,7 +158,8 @@ def row_sums(start, trained, abs_sums, v_uv_abs):
             for slot in range(start[i], start[i + 1]):
                 u += abs_sums[slot, 0]
                 v += abs_sums[slot, 1]
-        v_uv_abs[i, 0], v_uv_abs[i, 1] = u, v
+        v_uv_abs[i, 0] = u
+        v_uv_abs[i, 1] = v
 
 
 def project(params: GaussianParams, cam: np.ndarray, wanted: TileWindows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -227,7 +228,8 @@ def project_rows(params, cam, wanted, splats, count, noted):
             if not (z > _NEAR and opacity >= _ALPHA_MIN):
                 continue
             s = splats[i]
-            s[col.DEPTH], s[col.LN_OPACITY] = z, math.log(opacity)
+            s[col.DEPTH] = z
+            s[col.LN_OPACITY] = math.log(opacity)
             if not _project(cam, x, y, z, log_scale[i], quat[i], s):
                 continue
             at, room = part * NOTED_PER_CHUNK + n_noted, NOTED_PER_CHUNK - n_noted
@@ -294,10 +296,14 @@ def _project(cam, x, y, z, log_scale, quat, s):
     c0, c1, c2 = mu1 * mv2 - mu2 * mv1, mu2 * mv0 - mu0 * mv2, mu0 * mv1 - mu1 * mv0
     cross2 = c0 * c0 + c1 * c1 + c2 * c2
     inv_det = _ONE / (cross2 + _BLUR * (uu + vv) + _BLUR * _BLUR)
-    s[col.U], s[col.V] = u, v
-    s[col.CONIC_A], s[col.CONIC_B], s[col.CONIC_C] = (vv + _BLUR) * inv_det, -uv * inv_det, (uu + _BLUR) * inv_det
+    s[col.U] = u
+    s[col.V] = v
+    s[col.CONIC_A] = (vv + _BLUR) * inv_det
+    s[col.CONIC_B] = -uv * inv_det
+    s[col.CONIC_C] = (uu + _BLUR) * inv_det
     reach = _TWO * (s[col.LN_OPACITY] - _LOG_ALPHA_MIN)
-    s[col.EXTENT_U], s[col.EXTENT_V] = math.sqrt(reach * (uu + _BLUR)), math.sqrt(reach * (vv + _BLUR))
+    s[col.EXTENT_U] = math.sqrt(reach * (uu + _BLUR))
+    s[col.EXTENT_V] = math.sqrt(reach * (vv + _BLUR))
     small = s[col.EXTENT_U] < _FARTHEST and s[col.EXTENT_V] < _FARTHEST
     return abs(u) < _FARTHEST and abs(v) < _FARTHEST and small
 
@@ -313,7 +319,9 @@ def _colour(cam, xyz, sh, basis, s):
         red += basis[k] * sh[k, 0]
         green += basis[k] * sh[k, 1]
         blue += basis[k] * sh[k, 2]
-    s[col.RED], s[col.GREEN], s[col.BLUE] = max(red, _ZERO), max(green, _ZERO), max(blue, _ZERO)
+    s[col.RED] = max(red, _ZERO)
+    s[col.GREEN] = max(green, _ZERO)
+    s[col.BLUE] = max(blue, _ZERO)
     return abs(red) < _INFINITE and abs(green) < _INFINITE and abs(blue) < _INFINITE
 
 
@@ -374,7 +382,9 @@ def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
     l0, v_mu0, v_mv0 = _column_vjp(s, total, nu0, nv0)
     l1, v_mu1, v_mv1 = _column_vjp(s, total, nu1, nv1)
     l2, v_mu2, v_mv2 = _column_vjp(s, total, nu2, nv2)
-    v_log_scale[0], v_log_scale[1], v_log_scale[2] = l0, l1, l2
+    v_log_scale[0] = l0
+    v_log_scale[1] = l1
+    v_log_scale[2] = l2
     g00, g10, g20 = _rotation_column_vjp(cam, lens, v_mu0, v_mv0, s0)
     g01, g11, g21 = _rotation_column_vjp(cam, lens, v_mu1, v_mv1, s1)
     g02, g12, g22 = _rotation_column_vjp(cam, lens, v_mu2, v_mv2, s2)
@@ -454,8 +464,10 @@ def _quaternion_vjp(quat, norm, v_R, v_quat):
     v_y = _TWO * (qx * (g01 + g10) + qz * (g12 + g21) + qw * (g02 - g20) - _TWO * qy * (g00 + g22))
     v_z = _TWO * (qx * (g02 + g20) + qy * (g12 + g21) + qw * (g10 - g01) - _TWO * qz * (g00 + g11))
     along = qw * v_w + qx * v_x + qy * v_y + qz * v_z
-    v_quat[0], v_quat[1] = (v_w - qw * along) / norm, (v_x - qx * along) / norm
-    v_quat[2], v_quat[3] = (v_y - qy * along) / norm, (v_z - qz * along) / norm
+    v_quat[0] = (v_w - qw * along) / norm
+    v_quat[1] = (v_x - qx * along) / norm
+    v_quat[2] = (v_y - qy * along) / norm
+    v_quat[3] = (v_z - qz * along) / norm
 
 
 @njit(inline="always")
@@ -469,7 +481,9 @@ def _colour_vjp(cam, s, total, xyz, sh, scratch, v_xyz, v_sh):
     dx, dy, dz, inv = direction(cam, xyz[0], xyz[1], xyz[2])
     basis_into(dx, dy, dz, K, basis)
     for k in range(K):
-        v_sh[k, 0], v_sh[k, 1], v_sh[k, 2] = basis[k] * v_red, basis[k] * v_green, basis[k] * v_blue
+        v_sh[k, 0] = basis[k] * v_red
+        v_sh[k, 1] = basis[k] * v_green
+        v_sh[k, 2] = basis[k] * v_blue
         w[k] = sh[k, 0] * v_red + sh[k, 1] * v_green + sh[k, 2] * v_blue
     if K > 1:
         e0, e1, e2 = gradient_into(dx, dy, dz, K, w)

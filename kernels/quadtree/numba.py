@@ -51,7 +51,8 @@ def _lines(length, levels):
     """Cell borders along one axis at the deepest level; every 2^k-th of them are the borders k levels higher."""
     n = 1 << levels
     lines = np.empty(n + 1, np.int64)
-    lines[0], lines[n] = 0, length
+    lines[0] = 0
+    lines[n] = length
     step = n
     while step > 1:
         for i in range(0, n, step):
@@ -138,11 +139,14 @@ def _leaves(split, xs, ys, levels):
         start = ((1 << 2 * level) - 1) // 3
         if level < levels and split[start + (i << level) + j]:
             for k in range(4):  # the last one pushed is the first one visited
-                stack[top, 0], stack[top, 1], stack[top, 2] = level + 1, 2 * i + 1 - k % 2, 2 * j + 1 - k // 2
+                stack[top, 0] = level + 1
+                stack[top, 1] = 2 * i + 1 - k % 2
+                stack[top, 2] = 2 * j + 1 - k // 2
                 top += 1
             continue
         step = 1 << (levels - level)
-        leaves[col.X0, count], leaves[col.Y0, count] = xs[j * step], ys[i * step]
+        leaves[col.X0, count] = xs[j * step]
+        leaves[col.Y0, count] = ys[i * step]
         leaves[col.WIDTH, count] = xs[(j + 1) * step] - xs[j * step]
         leaves[col.HEIGHT, count] = ys[(i + 1) * step] - ys[i * step]
         leaves[col.LEVEL, count] = level

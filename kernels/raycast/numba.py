@@ -259,11 +259,13 @@ def look_up(blocks, rows, T_CW, lens, side, size, tile_px, marked, spans):
     many = size[0] * size[1] >= FEW_RAYS * len(rows)
     covers, depths = np.empty((len(rows), 4), np.int32), np.empty((len(rows), 2), np.float32)
     for k in prange(len(rows)):
-        covers[k, _U0], covers[k, _U1] = 0, -1
+        covers[k, _U0] = 0
+        covers[k, _U1] = -1
         _project(coords[rows[k]], T_CW, lens, side, tile_px, spans.shape[:2], covers[k], depths[k])
         if many:
             _mark(D, W, rows[k], marked)
-    spans[:, :, NEAR_END], spans[:, :, FAR_END] = np.inf, _ZERO
+    spans[:, :, NEAR_END] = np.inf
+    spans[:, :, FAR_END] = _ZERO
     for k in range(len(rows)):
         if covers[k, _U1] < covers[k, _U0]:
             continue
@@ -317,12 +319,18 @@ def _project(block, T_CW, lens, side, tile_px, tiles, cover, depth):
         low_v, high_v = min(low_v, v), max(high_v, v)
     if high_z <= 0.0:
         return
-    depth[NEAR_END], depth[FAR_END] = max(low_z - _BEFORE * side, 0.0), high_z
+    depth[NEAR_END] = max(low_z - _BEFORE * side, 0.0)
+    depth[FAR_END] = high_z
     if low_z <= _NEAR:  # it reaches behind the camera: taken to cover the whole picture
-        cover[_U0], cover[_U1], cover[_V0], cover[_V1] = 0, nx - 1, 0, ny - 1
+        cover[_U0] = 0
+        cover[_U1] = nx - 1
+        cover[_V0] = 0
+        cover[_V1] = ny - 1
         return
-    cover[_U0], cover[_U1] = math.floor(min(max(low_u, 0.0), nx)), math.floor(min(max(high_u, -1.0), nx - 1.0))
-    cover[_V0], cover[_V1] = math.floor(min(max(low_v, 0.0), ny)), math.floor(min(max(high_v, -1.0), ny - 1.0))
+    cover[_U0] = math.floor(min(max(low_u, 0.0), nx))
+    cover[_U1] = math.floor(min(max(high_u, -1.0), nx - 1.0))
+    cover[_V0] = math.floor(min(max(low_v, 0.0), ny))
+    cover[_V1] = math.floor(min(max(high_v, -1.0), ny - 1.0))
 
 
 TILE_PX = 8

@@ -53,7 +53,12 @@ def _sample(table, voxels, points, voxel_size, out):
     N, chunk = points.shape[0], 1024
     for part in prange((N + chunk - 1) // chunk):
         for i in range(part * chunk, min(N, part * chunk + chunk)):
-            D[i], W[i], W_rgb[i], rgb[i, 0], rgb[i, 1], rgb[i, 2] = f32(1), f32(0), f32(0), f32(0), f32(0), f32(0)
+            D[i] = f32(1)
+            W[i] = f32(0)
+            W_rgb[i] = f32(0)
+            rgb[i, 0] = f32(0)
+            rgb[i, 1] = f32(0)
+            rgb[i, 2] = f32(0)
             x, y, z = points[i, 0] / voxel_size, points[i, 1] / voxel_size, points[i, 2] / voxel_size
             if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and abs(z) < _FARTHEST):
                 continue

@@ -52,7 +52,10 @@ def box_room() -> tuple[GaussianParams, Mesh, torch.Tensor]:
     z = torch.nn.functional.normalize(torch.tensor([0.6, 0.7, -0.35]), dim=0)
     x = torch.nn.functional.normalize(torch.linalg.cross(z, torch.tensor([0.0, 0, 1])), dim=0)
     T = torch.eye(4)
-    T[:3, 0], T[:3, 1], T[:3, 2], T[:3, 3] = x, torch.linalg.cross(z, x), z, torch.tensor([-1.7, -1.9, 1.7])
+    T[:3, 0] = x
+    T[:3, 1] = torch.linalg.cross(z, x)
+    T[:3, 2] = z
+    T[:3, 3] = torch.tensor([-1.7, -1.9, 1.7])
     return gaussians, mesh, T
 
 

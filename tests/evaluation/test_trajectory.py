@@ -27,7 +27,8 @@ def perturbed(path, generator, size=0.01):
 def test_ate_by_hand_without_alignment():
     reference = torch.eye(4).repeat(2, 1, 1)
     estimate = reference.clone()
-    estimate[0, 0, 3], estimate[1, 1, 3] = 3.0, 4.0
+    estimate[0, 0, 3] = 3.0
+    estimate[1, 1, 3] = 4.0
     assert ate_rmse(estimate, reference, align=False) == pytest.approx(math.sqrt((9 + 16) / 2))
 
 

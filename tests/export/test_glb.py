@@ -102,7 +102,8 @@ def test_a_moved_map_looks_the_same_from_the_moved_camera(generator, degree):
     camera = Camera(width=48, height=32, fx=40.0, fy=40.0, cx=24.0, cy=16.0)
     R, t = turn_to_minus_y_up((0.2, 0.9, 0.4)), torch.tensor([0.5, -1.0, 2.0])
     T = torch.eye(4)
-    T[:3, :3], T[:3, 3] = R.float(), t
+    T[:3, :3] = R.float()
+    T[:3, 3] = t
     with use_backend("reference"):
         before = render(g, camera, torch.eye(4)).rgb
         after = render(moved(g, R, t), camera, T).rgb

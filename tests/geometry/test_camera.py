@@ -79,7 +79,8 @@ def test_image_too_small():
 
 def test_normals_of_some_pixels_are_those_of_the_picture(generator):
     depth = 1 + 0.03 * torch.rand(WIDE.height, WIDE.width, generator=generator)
-    depth[3:6, 4:9], depth[:, 12:] = 0.0, 2.0
+    depth[3:6, 4:9] = 0.0
+    depth[:, 12:] = 2.0
     row, column = (torch.arange(n) for n in depth.shape)
     row, column = (x.reshape(-1) for x in torch.meshgrid(row, column, indexing="ij"))
     found = normals_at(WIDE, depth, row, column).view(*depth.shape, 3)

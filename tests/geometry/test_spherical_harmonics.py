@@ -24,7 +24,8 @@ def test_colours_of_the_released_code():
 def test_constant_coefficient_gives_the_same_colour_from_everywhere(generator, degree):
     sh, xyz = some(generator, 7, degree)
     rgb = torch.rand(7, 3, generator=generator, dtype=torch.float64)
-    sh[:, 0], sh[:, 1:] = rgb_to_sh_dc(rgb), 0
+    sh[:, 0] = rgb_to_sh_dc(rgb)
+    sh[:, 1:] = 0
     torch.testing.assert_close(sh_to_rgb(sh, xyz, ORIGIN), rgb)
 
 

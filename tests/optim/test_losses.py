@@ -83,7 +83,8 @@ def test_window_is_a_gaussian_that_adds_up_to_one():
     weight = [math.exp(-0.5 * (i / 1.5) ** 2) for i in range(-5, 6)]
     share = [w / sum(weight) for w in weight]
     image = torch.zeros(23, 23, 3, dtype=torch.float64)
-    image[11, 11], image[0, 0] = 1.0, 1.0
+    image[11, 11] = 1.0
+    image[0, 0] = 1.0
     mean = window_mean(image)
     for i in (-5, -2, 0, 4):
         assert float(mean[11 + i, 11, 1]) == pytest.approx(share[5 + i] * share[5], rel=1e-12)

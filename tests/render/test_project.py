@@ -131,7 +131,10 @@ def wide(scene, generator):
     """Some Gaussians so far out that J is clamped, on each side."""
     params = scene.random_map(generator, 12)
     shift = torch.zeros(12, 3, dtype=torch.float64)
-    shift[0, 0], shift[1, 0], shift[2, 1], shift[3, 1] = 4.0, -4.0, 4.0, -4.0
+    shift[0, 0] = 4.0
+    shift[1, 0] = -4.0
+    shift[2, 1] = 4.0
+    shift[3, 1] = -4.0
     return dataclasses.replace(params, xyz_W=params.xyz_W + shift)
 
 

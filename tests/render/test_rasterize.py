@@ -196,7 +196,8 @@ def test_depth_and_alpha_gradients_default_to_zero(scene, generator):
 def test_all_behind_the_camera(scene, generator):
     params = scene.random_map(generator, 10)
     turned = scene.pose.clone()
-    turned[:3, 0], turned[:3, 2] = -turned[:3, 0], -turned[:3, 2]
+    turned[:3, 0] = -turned[:3, 0]
+    turned[:3, 2] = -turned[:3, 2]
     out, saved = render_forward(params, scene.camera, turned)
     assert (out.alpha == 0).all()
     gradient = render_vjp(saved, *cotangents(generator, scene.camera))

@@ -52,7 +52,8 @@ def test_gaussians_on_an_edge_are_long_along_it(angle_deg):
 
 def test_discs_lie_in_the_surface(generator):
     normal = torch.nn.functional.normalize(torch.randn(50, 3, generator=generator), dim=1)
-    normal[0], normal[1] = 0.0, torch.tensor([1.0, 0.0, 0.0])  # unknown; seen from the side, along the edge
+    normal[0] = 0.0  # unknown
+    normal[1] = torch.tensor([1.0, 0.0, 0.0])  # seen from the side, along the edge
     along = torch.nn.functional.normalize(torch.randn(50, 2, generator=generator), dim=1)
     along[1] = torch.tensor([1.0, 0.0])
     T_WC = se3.exp(torch.tensor([0.0, 0.0, 0.0, 1.0, -0.5, 0.3]))

@@ -215,7 +215,10 @@ FINE = SeedingConfig(quadtree_threshold=0.02, quadtree_contrast="std")
 
 def test_depth_is_the_mean_of_the_four_sides_by_the_square_of_their_nearness():
     depth_m = torch.zeros(5, 7)
-    depth_m[2, 0], depth_m[2, 4], depth_m[0, 2], depth_m[1, 6] = 2.0, 4.0, 3.0, 9.0
+    depth_m[2, 0] = 2.0
+    depth_m[2, 4] = 4.0
+    depth_m[0, 2] = 3.0
+    depth_m[1, 6] = 9.0
     filled = depth_from_sides(depth_m, depth_m > 0)
     assert filled[2, 2].item() == 3.0  # three sides at a distance of 2
     torch.testing.assert_close(filled[2, 1], torch.tensor((2.0 + 4.0 / 9) / (1 + 1 / 9)))

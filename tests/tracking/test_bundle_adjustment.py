@@ -30,7 +30,9 @@ def scene(generator):
     step = torch.tensor([0.1, 0.02, 0.03, 0.01, -0.04, 0.02], dtype=torch.float64)
     T_WC = torch.stack([se3.exp(k * step) for k in range(5)])
     keyframe, landmark = (x.flatten() for x in torch.meshgrid(torch.arange(5), torch.arange(60), indexing="ij"))
-    keyframe, landmark = keyframe[(keyframe + landmark) % 3 > 0], landmark[(keyframe + landmark) % 3 > 0]
+    observed = (keyframe + landmark) % 3 > 0
+    keyframe = keyframe[observed]
+    landmark = landmark[observed]
     xyz_C = torch.stack([se3.apply(se3.inverse(T_WC[k]), points[m]) for k, m in zip(keyframe, landmark, strict=True)])
     seen = Observations(
         keyframe=keyframe,

@@ -47,7 +47,8 @@ def views():
 def test_a_corner_is_found_from_5_cm_and_5_degrees_away(plane_scene, generator, assert_pose, backend):
     scene = plane_scene("corner")
     T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.05, 0.1, -0.05]).double())
-    frame, surface = scene.frame(T_WC), scene(scene.frame(T_WC).camera, T_WC)
+    frame = scene.frame(T_WC)
+    surface = scene(frame.camera, T_WC)
     for _ in range(4):
         with use_backend(backend):
             found = icp(frame.depth_m, frame.camera, surface, perturbation(generator, 0.05, 5.0) @ T_WC, EXACT)
@@ -69,7 +70,8 @@ def test_the_room_is_found_from_5_cm_and_5_degrees_away(views, generator, assert
 def test_another_place_in_the_world_changes_nothing(plane_scene, generator, assert_pose):
     scene = plane_scene("corner")
     T_WC = torch.eye(4).double()
-    frame, surface = scene.frame(T_WC), scene(scene.frame(T_WC).camera, T_WC)
+    frame = scene.frame(T_WC)
+    surface = scene(frame.camera, T_WC)
     start = perturbation(generator, 0.03, 3.0)
     there = se3.exp(torch.tensor([200.0, -300.0, 50.0, 1.0, -2.0, 0.5]).double())
     far = dataclasses.replace(surface, T_WC=there, normal_W=se3.rotate(there.float(), surface.normal_W))
@@ -83,7 +85,8 @@ def test_further_rows_decide_what_depth_leaves_open(plane_scene):
     """A wall seen from far from the world's origin; two points of known place give the motion along it and the roll."""
     away = se3.exp(torch.tensor([40.0, -30.0, 20.0, 0.3, -1.2, 0.4]).double())
     planes, T_WC = plane_scene("wall"), torch.eye(4).double()
-    frame, seen = planes.frame(T_WC), planes(planes.frame(T_WC).camera, T_WC)
+    frame = planes.frame(T_WC)
+    seen = planes(frame.camera, T_WC)
     surface = dataclasses.replace(seen, normal_W=se3.rotate(away.float(), seen.normal_W), T_WC=away)
     known_C = torch.tensor([[0.5, 0.3, 2.0], [-0.6, 0.1, 2.0]]).double()
 

@@ -24,7 +24,8 @@ def test_a_volume_is_a_surface(plane_scene):
 def test_a_hybrid_takes_the_frame_where_the_model_is_missing_or_off(plane_scene):
     T_WC = se3.exp(torch.tensor([0.1, 0.0, 0.0, 0.0, 0.1, 0.0]))
     scene = plane_scene("wall")
-    frame, model = scene.frame(T_WC), scene(scene.frame(T_WC).camera, T_WC)
+    frame = scene.frame(T_WC)
+    model = scene(frame.camera, T_WC)
     depth_m = model.depth_m.clone()
     depth_m[20:40] = 0.0
     depth_m[50:70] += 0.02
@@ -82,7 +83,9 @@ def test_a_plane_stays_where_it_is(factor):
 
 def test_levels_in_the_given_order_with_unusable_pixels_dropped():
     depth = slanted_plane(CAMERA, (0.0, 0.0, -1.0))
-    depth[3, 4], depth[5, 6], depth[7, 8] = float("nan"), float("inf"), -1.0
+    depth[3, 4] = float("nan")
+    depth[5, 6] = float("inf")
+    depth[7, 8] = -1.0
     before = depth.clone()
     levels = depth_pyramid(depth, CAMERA, (4, 2, 1))
     torch.testing.assert_close(depth, before, equal_nan=True)

@@ -81,7 +81,8 @@ def test_along_an_edge_the_prediction_decides(plane_scene):
     """Nothing shows the motion along y; the two first poses say 2 cm per frame."""
     steps = [torch.eye(4).double() for _ in range(4)]
     for k, T in enumerate(steps):
-        T[1, 3], T[2, 3] = 0.02 * k, 0.01 * k
+        T[1, 3] = 0.02 * k
+        T[2, 3] = 0.01 * k
     scene, tracker = plane_scene("edge"), Tracker()
     track_all(tracker, scene, steps[:2])
     assert float(tracker.predict(2.0)[1, 3]) == pytest.approx(0.0, abs=2e-3)  # the start knew no motion
@@ -196,7 +197,8 @@ def test_the_room_is_tracked_against_its_tsdf(noise, limit_m):
 
 def test_the_clearly_better_fit_is_taken(plane_scene):
     scene, T_WC, config = plane_scene("corner", painted=True), path(1)[0], TrackingConfig()
-    frame, surface = scene.frame(T_WC), scene(scene.frame(T_WC).camera, path(2)[1])
+    frame = scene.frame(T_WC)
+    surface = scene(frame.camera, path(2)[1])
     sight = Sight.of(frame, config)
     right = icp(frame.depth_m, frame.camera, surface, T_WC, config)
     wrong, almost = (dataclasses.replace(right, T_WC=se3.exp(k * VELOCITY) @ T_WC) for k in (0.5, 0.01))

@@ -62,7 +62,9 @@ def test_isolated_pixels_allocate_nothing(camera, make_frame):
     clean, spotted = TsdfVolume(CONFIG), TsdfVolume(CONFIG)
     naive = TsdfVolume(dataclasses.replace(CONFIG, outlier_guard=False))
     allocate(clean, make_frame(depth, camera))
-    depth[20, 30], depth[119, 0], depth[70, 159] = 0.8, 4.0, 1.0
+    depth[20, 30] = 0.8
+    depth[119, 0] = 4.0
+    depth[70, 159] = 1.0
     allocate(spotted, make_frame(depth, camera))
     allocate(naive, make_frame(depth, camera))
     assert set(map(tuple, spotted.block_coords.tolist())) <= set(map(tuple, clean.block_coords.tolist()))

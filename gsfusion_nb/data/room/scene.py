@@ -282,7 +282,8 @@ def texels(atlas: ndarray, x: ndarray, y: ndarray) -> ndarray:
     n = x.size
     side = 1024 if n >= 1024 else n  # cv2.remap takes pictures of fewer than 2^15 rows and columns
     padded = np.zeros((2, -(-n // side) * side), np.float32)
-    padded[0, :n], padded[1, :n] = x, y
+    padded[0, :n] = x
+    padded[1, :n] = y
     map_x, map_y = padded.reshape(2, -1, side)
     return cv2.remap(atlas, map_x, map_y, cv2.INTER_LINEAR).reshape(-1, 3)[:n]
 

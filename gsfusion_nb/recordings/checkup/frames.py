@@ -70,7 +70,8 @@ def measure_over_frames(
         data = FitData.of(sample, pairs, interpretation)
         stops, errors, _ = gains(sample, pairs, data, correction)
         for j, (i, _, _) in enumerate(part):
-            out["gain_stops"][i], out["error"][i] = stops[j], errors[j]
+            out["gain_stops"][i] = stops[j]
+            out["error"][i] = errors[j]
     return OverFrames(
         number=np.array([f.number for f in frames], dtype=np.int64),
         **out,

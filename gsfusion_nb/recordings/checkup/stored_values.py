@@ -38,7 +38,8 @@ def examine_files(source: RecordedSequence, given: RepairConfig) -> tuple[Repair
     """
     repair, size = image_size(source)
     if given.fit_sizes:
-        repair, size = RepairConfig(), replace(size, verdict="ok", repair="")
+        repair = RepairConfig()
+        size = replace(size, verdict="ok", repair="")
     if not source.has_poses:
         return repair, [size, *time_stamps(source)]
     matrices, poses = pose_matrices(raw_matrices(source.poses, given))

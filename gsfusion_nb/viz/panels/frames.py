@@ -94,7 +94,8 @@ def displaced_pose(
     """
     turn = torch.tensor([0.0, 0.0, 0.0, 0.0, math.radians(turn_deg), 0.0], dtype=torch.float64)
     step = torch.eye(4, dtype=torch.float64)
-    step[0, 3], step[2, 3] = float(sideways_m), float(forward_m)
+    step[0, 3] = float(sideways_m)
+    step[2, 3] = float(forward_m)
     return T_WC.double() @ step @ se3.exp(turn)
 
 

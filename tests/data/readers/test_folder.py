@@ -36,7 +36,8 @@ def test_reads_what_was_written(tmp_path, box):
 def test_depth_scale_invalid_value_and_fps(tmp_path, box):
     root = box.folder(tmp_path, depth_invalid=777, fps=10, pose_convention="camera-to-world, made by hand")
     raw = np.full((48, 64), 2000, np.uint16)
-    raw[0, 0], raw[1, 1] = 0, 777
+    raw[0, 0] = 0
+    raw[1, 1] = 777
     cv2.imwrite(str(root / "depth/000001.png"), raw)
     frame = folder(root)[1]
     assert frame.depth_m[0, 0] == frame.depth_m[1, 1] == 0

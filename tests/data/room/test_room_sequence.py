@@ -184,7 +184,8 @@ def test_a_building_has_the_same_room_in_each_place():
         moved_m = there.T_WC[:3, 3] - here.T_WC[:3, 3]
         assert moved_m.tolist() == pytest.approx([10 * (n % 3), 10 * (n // 3), 0], abs=1e-5)
     assert bool((np.diff(building.times_s) > 0).all())
-    mesh, of_one = building.mesh(), one.mesh()
+    mesh = building.mesh()
+    of_one = one.mesh()
     assert len(mesh.faces) == 5 * len(of_one.faces)
     assert float(mesh.vertices_W[:, 0].max() - of_one.vertices_W[:, 0].max()) == pytest.approx(20, abs=1e-4)
 

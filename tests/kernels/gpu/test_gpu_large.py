@@ -28,7 +28,8 @@ def step(params: GaussianParams, frame, known: dict[str, Tensor], device: str) -
     """Every operation, on ``device``. Where the discs that the pixels hit, the picture or the depth of the discs are
     ``known``, what follows from them starts from these: rounding decides which disc is hit and the sign of an error."""
     params = GaussianParams(**{name: column.to(device) for name, column in vars(params).items()})
-    frame, pixels = frame.to(device), (frame.depth_m > 0).to(device)
+    frame = frame.to(device)
+    pixels = frame.depth_m > 0
     pixels[: SIZE[1] // 3, : SIZE[0] // 3] = False
     rows = (torch.arange(len(params)) % 3 > 0).to(device)
     view = (params, frame.camera, frame.T_WC)

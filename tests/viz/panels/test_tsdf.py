@@ -27,7 +27,8 @@ def volume():
     volume.add_blocks(torch.tensor([[0, 0, 0]]))
     for (x, y, z), D, W, rgb in (((1, 2, 3), -1.0, 5.0, (0.0, 1.0, 0.0)), ((4, 0, 3), 1.0, 10.0, (1.0, 0.0, 0.0))):
         n = 64 * x + 8 * y + z
-        volume.D[0, n], volume.W[0, n] = D, W
+        volume.D[0, n] = D
+        volume.W[0, n] = W
         volume.rgb_planes[0, :, n] = torch.tensor(rgb)
     return volume
 

@@ -40,9 +40,11 @@ def members(takes, pack=stored, **changes):
         depth = takes.depth_m[i].astype("<f4").copy()
         depth[0, 0] = np.nan
         confidence = np.full(depth.shape, 2, np.uint8)
-        confidence[1, 1], confidence[1, 2] = 0, 1
+        confidence[1, 1] = 0
+        confidence[1, 2] = 1
         files[f"rgbd/{i}.jpg"] = takes.jpeg(i)
-        files[f"rgbd/{i}.depth"], files[f"rgbd/{i}.conf"] = pack(depth.tobytes()), pack(confidence.tobytes())
+        files[f"rgbd/{i}.depth"] = pack(depth.tobytes())
+        files[f"rgbd/{i}.conf"] = pack(confidence.tobytes())
     return files
 
 

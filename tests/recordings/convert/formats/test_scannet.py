@@ -17,7 +17,10 @@ LOST = np.full((4, 4), -np.inf)
 
 def matrix(c):
     K = np.eye(4)
-    K[0, 0], K[1, 1], K[0, 2], K[1, 2] = c.fx, c.fy, c.cx - 0.5, c.cy - 0.5
+    K[0, 0] = c.fx
+    K[1, 1] = c.fy
+    K[0, 2] = c.cx - 0.5
+    K[1, 2] = c.cy - 0.5
     return K
 
 
