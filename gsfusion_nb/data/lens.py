@@ -52,9 +52,10 @@ class CameraModel:
         Raises:
             SequenceError: the image has other proportions than the camera, so it is not only resized.
         """
-        if (self.camera.width, self.camera.height) == (width, height):
+        own_size = (self.camera.width, self.camera.height)
+        if own_size == (width, height):
             return self
-        if not same_proportions((width, height), (self.camera.width, self.camera.height)):
+        if not same_proportions((width, height), own_size):
             raise SequenceError(
                 f"{source} is {width}x{height}, but its camera is {self.camera.width}x{self.camera.height}, of other "
                 "proportions; give the intrinsics of the images as they are"
@@ -74,9 +75,15 @@ class CameraModel:
             K_new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(K, D, size, np.eye(3), balance=0.0)
         else:
             K_new, _ = cv2.getOptimalNewCameraMatrix(K, D, size, 0.0)
-        fx, fy, cx, cy = (float(K_new[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
         try:
-            camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + 0.5, cy=cy + 0.5)
+            camera = Camera(
+                width=size[0],
+                height=size[1],
+                fx=float(K_new[0, 0]),
+                fy=float(K_new[1, 1]),
+                cx=float(K_new[0, 2]) + 0.5,
+                cy=float(K_new[1, 2]) + 0.5,
+            )
             check_plausible_camera("the camera without it", camera)
             return camera
         except ValueError as e:
@@ -96,9 +103,11 @@ def same_rays(model: CameraModel, camera: Camera) -> bool:
     a = model.camera
     if not model.is_pinhole or (a.width, a.height) != (camera.width, camera.height):
         return False
-    across = [abs((x - a.cx) / a.fx * camera.fx + camera.cx - x) for x in (0, a.width)]
-    down = [abs((y - a.cy) / a.fy * camera.fy + camera.cy - y) for y in (0, a.height)]
-    return max(across + down) < SAME_PX
+    left_right = np.array([0, a.width])
+    top_bottom = np.array([0, a.height])
+    across = (left_right - a.cx) / a.fx * camera.fx + camera.cx - left_right
+    down = (top_bottom - a.cy) / a.fy * camera.fy + camera.cy - top_bottom
+    return bool(np.abs([across, down]).max() < SAME_PX)
 
 
 def pixel_map(model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -150,14 +159,18 @@ def warp_depth(
 
     Differentiable: no.
     """
-    P = se3.apply(T_target_source.to(depth_m.dtype), depth_to_points(source, depth_m)[depth_m > 0])
+    points = depth_to_points(source, depth_m)[depth_m > 0]
+    P = se3.apply(T_target_source.to(depth_m.dtype), points)
     P = P[P[:, 2] > 0]
-    uv = project(target, P).floor().long()
-    inside = (uv[:, 0] >= 0) & (uv[:, 0] < target.width) & (uv[:, 1] >= 0) & (uv[:, 1] < target.height)
-    uv, z = uv[inside], P[inside, 2]
-    out = torch.full((target.height * target.width,), torch.inf, dtype=depth_m.dtype, device=depth_m.device)
-    out.scatter_reduce_(0, uv[:, 1] * target.width + uv[:, 0], z, reduce="amin")
-    return out.where(out.isfinite(), torch.zeros_like(out)).reshape(target.height, target.width)
+    u, v = project(target, P).floor().long().unbind(1)
+    in_width = (u >= 0) & (u < target.width)
+    in_height = (v >= 0) & (v < target.height)
+    inside = in_width & in_height
+    place = (v * target.width + u)[inside]
+    out = depth_m.new_full((target.height * target.width,), torch.inf)
+    out.scatter_reduce_(0, place, P[inside, 2], reduce="amin")
+    out = out.where(out.isfinite(), torch.zeros_like(out))
+    return out.reshape(target.height, target.width)
 
 
 def register_depth(
@@ -185,10 +198,14 @@ def register_depth(
     T = T_target_source.to(depth_m.dtype)
     known = depth_m > 0
     P = se3.apply(T, depth_to_points(source, depth_m)[known])
-    half_right = T[:3, 0] * (0.5 * depth_m[known] / source.fx)[:, None]
-    half_down = T[:3, 1] * (0.5 * depth_m[known] / source.fy)[:, None]
+    half_width_m = 0.5 * depth_m[known] / source.fx
+    half_height_m = 0.5 * depth_m[known] / source.fy
+    half_right = T[:3, 0] * half_width_m[:, None]
+    half_down = T[:3, 1] * half_height_m[:, None]
     ahead = P[:, 2] > 0
-    P, half_right, half_down = P[ahead], half_right[ahead], half_down[ahead]
+    P = P[ahead]
+    half_right = half_right[ahead]
+    half_down = half_down[ahead]
     outline = _Outline(
         uv=project(target, P),
         right=project(target, P + half_right) - project(target, P - half_right),
@@ -255,20 +272,29 @@ class _Outline:
         reach = reach * known[:, None]
         area = 0.5 * _cross(self.right, self.down).abs()
         lengths = torch.stack([self.down.norm(dim=1), self.right.norm(dim=1)])
-        steps = torch.ceil(reach - 0.5).clamp(min=0).amax(dim=0).long().tolist() if len(pixel) else (0, 0)
+        farthest = (0, 0)
+        if len(pixel):
+            farthest = torch.ceil(reach - 0.5).clamp(min=0).amax(dim=0).long().tolist()
+        across, downwards = (range(-n, n + 1) for n in farthest)
         found = []
-        for du, dv in itertools.product(*(range(-n, n + 1) for n in steps)):
+        for du, dv in itertools.product(across, downwards):
+            is_own = (du, dv) == (0, 0)
             covered = pixel + pixel.new_tensor([du, dv])
             away = covered + 0.5 - self.uv
-            beyond = torch.stack([_cross(away, self.down).abs(), _cross(self.right, away).abs()]) - area
-            near = (beyond <= SEAM_PX * lengths).all(dim=0) & (away.abs() <= reach).all(dim=1)
-            if (du, dv) == (0, 0):
-                near = torch.ones_like(near)
-            near &= (covered >= 0).all(dim=1) & (covered[:, 0] < camera.width) & (covered[:, 1] < camera.height)
+            over_sides = torch.stack([_cross(away, self.down).abs(), _cross(self.right, away).abs()])
+            beyond = over_sides - area
+            within_seam = (beyond <= SEAM_PX * lengths).all(dim=0)
+            within_reach = (away.abs() <= reach).all(dim=1)
+            near = torch.ones_like(within_seam) if is_own else within_seam & within_reach
+            near &= (covered >= 0).all(dim=1)
+            near &= (covered < covered.new_tensor([camera.width, camera.height])).all(dim=1)
             rows = near.nonzero()[:, 0]
-            is_seam = (beyond[:, rows] > TIE * lengths[:, rows]).any(dim=0) & ((du, dv) != (0, 0))
+            outside = (beyond[:, rows] > TIE * lengths[:, rows]).any(dim=0)
+            is_seam = torch.zeros_like(outside) if is_own else outside
             u, v = covered[rows].long().unbind(dim=1)
-            found.append((rows, v * camera.width + u, away[rows].norm(dim=1), is_seam))
+            place = v * camera.width + u
+            away_px = away[rows].norm(dim=1)
+            found.append((rows, place, away_px, is_seam))
         return _Covered(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
 

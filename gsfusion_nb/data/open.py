@@ -103,8 +103,11 @@ def detect_layout(path: str | Path) -> str:
         if not parts:
             return name
     nearest = sorted(known, key=lambda name: len(lacking[name]) / len(known[name].looks_for))
-    described = "; ".join(f"{n}: {', '.join(known[n].looks_for)} (missing {', '.join(lacking[n])})" for n in nearest)
-    raise SequenceError(f"{path} fits no known layout; looked for {described}{_CONVERT}")
+    described = []
+    for name in nearest:
+        wanted = ", ".join(known[name].looks_for)
+        described.append(f"{name}: {wanted} (missing {', '.join(lacking[name])})")
+    raise SequenceError(f"{path} fits no known layout; looked for {'; '.join(described)}{_CONVERT}")
 
 
 def sequence_fingerprint(sequence: OpenedSequence) -> str:
@@ -125,7 +128,8 @@ def sequence_fingerprint(sequence: OpenedSequence) -> str:
     source = as_read(source)
     if isinstance(source, RecordedSequence):
         stored = (source.depth_scale, source.depth_invalid, source.fit_sizes)
-        digest.update(repr((stored, list(data_files(sequence).values()))).encode())
+        hashes = list(data_files(sequence).values())
+        digest.update(repr((stored, hashes)).encode())
         if source.rectify is not None:  # what it does to the images shows in one of them
             _add_pixels(digest, sequence.mapping, at_most=1)
     elif content := getattr(source, "content", ""):
@@ -173,7 +177,8 @@ def _pixel_hashes(source: Any, walk: Iterable[int]) -> Iterator[str]:
     """Hash of the colours of each frame that can be read."""
     for i in walk:
         with contextlib.suppress(SequenceError):
-            yield hashlib.blake2b(source[i].colour.cpu().contiguous().numpy().tobytes()).hexdigest()
+            pixels = source[i].colour.cpu().contiguous().numpy()
+            yield hashlib.blake2b(pixels.tobytes()).hexdigest()
 
 
 def _pose_bytes(view: SequenceView, i: int) -> bytes:

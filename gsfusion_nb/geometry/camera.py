@@ -83,7 +83,9 @@ def depth_to_normals(
         return normal
     neighbours = (depth_m[1:-1, 2:], depth_m[1:-1, :-2], depth_m[2:, 1:-1], depth_m[:-2, 1:-1])
     known = _on_one_surface(depth_m[1:-1, 1:-1], neighbours, max_jump)
-    n = _towards_camera(P[1:-1, 2:] - P[1:-1, :-2], P[2:, 1:-1] - P[:-2, 1:-1])
+    across = P[1:-1, 2:] - P[1:-1, :-2]
+    down = P[2:, 1:-1] - P[:-2, 1:-1]
+    n = _towards_camera(across, down)
     normal[1:-1, 1:-1] = n * known[..., None]
     return normal
 
@@ -98,12 +100,16 @@ def normals_at(
 ) -> Float[Tensor, "N 3"]:
     """``depth_to_normals`` of some pixels only: faster than all of them, and equal to rounding."""
     H, W = depth_m.shape
-    inside = (row > 0) & (row < H - 1) & (column > 0) & (column < W - 1)
+    inside_rows = (row > 0) & (row < H - 1)
+    inside_columns = (column > 0) & (column < W - 1)
+    inside = inside_rows & inside_columns
     depths, points = [], []
     for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        y, x = (row + down).clamp(0, H - 1), (column + right).clamp(0, W - 1)
+        y = (row + down).clamp(0, H - 1)
+        x = (column + right).clamp(0, W - 1)
         depths.append(depth_m[y, x])
-        points.append(backproject(camera, torch.stack([x, y], dim=-1) + 0.5, depths[-1]))
+        uv = torch.stack([x, y], dim=-1) + 0.5
+        points.append(backproject(camera, uv, depths[-1]))
     known = inside & _on_one_surface(depth_m[row, column], depths, max_jump)
     return _towards_camera(points[0] - points[1], points[2] - points[3]) * known[:, None]
 

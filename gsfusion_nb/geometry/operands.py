@@ -88,8 +88,9 @@ def check_view(camera: Any, T_WC: Any, device: torch.device) -> None:
     A pose on a GPU is not waited for: with a NaN in it nothing is seen.
     """
     check_camera(camera)
-    check_operand("T_WC", T_WC, (4, 4), device=None if getattr(T_WC, "device", device).type == "cpu" else device)
-    if T_WC.device.type == "cpu" and not math.isfinite(sum(map(sum, T_WC.tolist()))):
+    on_cpu = getattr(T_WC, "device", device).type == "cpu"
+    check_operand("T_WC", T_WC, (4, 4), device=None if on_cpu else device)
+    if on_cpu and not math.isfinite(sum(map(sum, T_WC.tolist()))):
         check_finite("T_WC", T_WC)
 
 

@@ -35,7 +35,8 @@ def to_matrix_vjp(quat: Float[Tensor, "*B 4"], v_R: Float[Tensor, "*B 3 3"]) -> 
     dR_dx = 2 * _matrix(o, y, z, y, -2 * x, -w, z, w, -2 * x)
     dR_dy = 2 * _matrix(-2 * y, x, w, x, o, z, -w, z, -2 * y)
     dR_dz = 2 * _matrix(-2 * z, -w, x, w, -2 * z, y, x, y, o)
-    v = torch.stack([(v_R * dR).sum((-2, -1)) for dR in (dR_dw, dR_dx, dR_dy, dR_dz)], dim=-1)
+    derivatives = (dR_dw, dR_dx, dR_dy, dR_dz)
+    v = torch.stack([(v_R * dR).sum((-2, -1)) for dR in derivatives], dim=-1)
     return (v - q * (q * v).sum(-1, keepdim=True)) / norm
 
 
@@ -61,7 +62,8 @@ def from_matrix(R: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B 4"]:
         dim=-2,
     )
     best = candidates.diagonal(dim1=-2, dim2=-1).argmax(-1)
-    quat = candidates.gather(-2, best[..., None, None].expand(*best.shape, 1, 4)).squeeze(-2)
+    row = best[..., None, None].expand(*best.shape, 1, 4)
+    quat = candidates.gather(-2, row).squeeze(-2)
     quat = normalise(quat)
     return torch.where(quat[..., :1] < 0, -quat, quat)
 

@@ -11,14 +11,16 @@ def inverse(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 4 4"]:
     """Inverse of a rigid transform: [R t]^-1 = [R^T  -R^T t]. Differentiable: yes."""
     R_inv = T[..., :3, :3].transpose(-1, -2)
     t_inv = -(R_inv @ T[..., :3, 3:])
-    return torch.cat([torch.cat([R_inv, t_inv], dim=-1), T[..., 3:, :]], dim=-2)
+    top = torch.cat([R_inv, t_inv], dim=-1)
+    return torch.cat([top, T[..., 3:, :]], dim=-2)
 
 
 def rigid(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 4 4"]:
     """The transform with the rotation nearest to that of ``T``, which products of rounded transforms have moved away
     from. Differentiable: no."""
     U, _, Vh = torch.linalg.svd(T[..., :3, :3])
-    return torch.cat([torch.cat([U @ Vh, T[..., :3, 3:]], dim=-1), T[..., 3:, :]], dim=-2)
+    top = torch.cat([U @ Vh, T[..., :3, 3:]], dim=-1)
+    return torch.cat([top, T[..., 3:, :]], dim=-2)
 
 
 def apply(T: Float[Tensor, "4 4"], xyz: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
@@ -33,7 +35,9 @@ def rotate(T: Float[Tensor, "4 4"], direction: Float[Tensor, "*N 3"]) -> Float[T
 
 def translate(T: Float[Tensor, "4 4"], by_m: Float[Tensor, " 3"]) -> Float[Tensor, "4 4"]:
     """``T`` followed by a shift along the axes of its target frame: [R  t + by]. Differentiable: yes."""
-    return torch.cat([torch.cat([T[:3, :3], T[:3, 3:] + by_m[:, None]], dim=1), T[3:]])
+    moved = T[:3, 3:] + by_m[:, None]
+    top = torch.cat([T[:3, :3], moved], dim=1)
+    return torch.cat([top, T[3:]])
 
 
 def hat(omega: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
@@ -46,13 +50,17 @@ def hat(omega: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
 def adjoint(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 6 6"]:
     """Ad(T) = [[R, hat(t) R], [0, R]]: T exp(xi) = exp(Ad(T) xi) T, translation first. Differentiable: yes."""
     R, t = T[..., :3, :3], T[..., :3, 3]
-    return torch.cat([torch.cat([R, hat(t) @ R], dim=-1), torch.cat([torch.zeros_like(R), R], dim=-1)], dim=-2)
+    top = torch.cat([R, hat(t) @ R], dim=-1)
+    bottom = torch.cat([torch.zeros_like(R), R], dim=-1)
+    return torch.cat([top, bottom], dim=-2)
 
 
 def small_adjoint(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 6 6"]:
     """ad(xi) = [[hat(omega), hat(rho)], [0, hat(omega)]], with matrix exponential Ad(exp(xi)). Differentiable: yes."""
     rho, omega = hat(xi[..., :3]), hat(xi[..., 3:])
-    return torch.cat([torch.cat([omega, rho], dim=-1), torch.cat([torch.zeros_like(rho), omega], dim=-1)], dim=-2)
+    top = torch.cat([omega, rho], dim=-1)
+    bottom = torch.cat([torch.zeros_like(rho), omega], dim=-1)
+    return torch.cat([top, bottom], dim=-2)
 
 
 def exp(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 4 4"]:
@@ -80,7 +88,8 @@ def exp(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 4 4"]:
 
 def rotation_angle(R: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B"]:
     """Angle of a rotation matrix, radians, accurate at both ends (atan2 of its sine and cosine)."""
-    skew = torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], dim=-1)
+    difference = R - R.mT
+    skew = torch.stack([difference[..., 2, 1], difference[..., 0, 2], difference[..., 1, 0]], dim=-1)
     trace = R.diagonal(dim1=-2, dim2=-1).sum(-1)
     return torch.atan2(skew.norm(dim=-1), trace - 1)
 

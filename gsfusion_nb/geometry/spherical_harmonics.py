@@ -112,8 +112,11 @@ def sh_to_rgb_vjp(
 ) -> tuple[Float[Tensor, "N K 3"], Float[Tensor, "N 3"]]:
     """Gradient of ``sh_to_rgb``: ``(v_sh, v_xyz_W)``."""
     d, distance = _direction(xyz_W, camera_centre_W)
-    Y, dY = sh_basis(d, _degree(sh)), sh_basis_gradient(d, _degree(sh))
-    v = torch.where(0.5 + torch.einsum("nk,nkc->nc", Y, sh) >= 0, v_rgb, 0.0)  # no gradient where clamped
+    degree = _degree(sh)
+    Y = sh_basis(d, degree)
+    dY = sh_basis_gradient(d, degree)
+    colour = 0.5 + torch.einsum("nk,nkc->nc", Y, sh)
+    v = torch.where(colour >= 0, v_rgb, 0.0)  # no gradient where clamped
     v_sh = Y[:, :, None] * v[:, None, :]  # dL/dsh_k = Y_k v
     v_d = torch.einsum("nkc,nc,nkx->nx", sh, v, dY)  # dL/dd = sum_k (sh_k . v) dY_k/dd
     v_xyz_W = (v_d - d * (d * v_d).sum(-1, keepdim=True)) / distance  # dd/dx = (I - d d^T) / |x - o|

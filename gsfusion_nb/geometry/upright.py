@@ -9,7 +9,14 @@ from torch import Tensor
 
 from ..checks import check_name
 
-UP_AXES = {f"{sign}{axis}": (i, s) for i, axis in enumerate("xyz") for sign, s in (("+", 1.0), ("-", -1.0))}
+UP_AXES = {
+    "+x": (0, 1.0),
+    "-x": (0, -1.0),
+    "+y": (1, 1.0),
+    "-y": (1, -1.0),
+    "+z": (2, 1.0),
+    "-z": (2, -1.0),
+}
 """Names of the directions along the axes, such as "-y"."""
 _SNAP_DEG = 15.0
 """An estimated up direction within this angle of a world axis is replaced by that axis, degrees."""
@@ -67,4 +74,5 @@ def turn_to_y_up(up: Up) -> Float[Tensor, "3 3"]:
 
 def turn_to_minus_y_up(up: Up) -> Float[Tensor, "3 3"]:
     """The rotation R with R up = -y, which viewers of splat files expect, float64."""
-    return torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)) @ turn_to_y_up(up) + 0.0
+    half_turn = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+    return half_turn @ turn_to_y_up(up) + 0.0

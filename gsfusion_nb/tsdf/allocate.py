@@ -124,4 +124,5 @@ def _distinct(cells: Int[Tensor, "N 3"]) -> Int[Tensor, "M 3"]:
     x, y, z = (cells + MOST_CELLS).unbind(1)
     packed = (x << 42 | y << 21 | z).unique()
     mask = (1 << 21) - 1
-    return torch.stack([packed >> 42, packed >> 21 & mask, packed & mask], dim=1) - MOST_CELLS
+    shifted = torch.stack([packed >> 42, packed >> 21 & mask, packed & mask], dim=1)
+    return shifted - MOST_CELLS

@@ -83,7 +83,9 @@ def tsdf_update(
     if average == "eq9":
         D_k = (D * W + d * W_k) / (W + W_k)  # Eq. 9 as printed
     elif average == "int16":
-        D_k = (((D * INT16_ONE).round() * (W_k - 1.0) + (d * INT16_ONE).trunc()) / W_k).trunc() / INT16_ONE
+        stored = (D * INT16_ONE).round()
+        new = (d * INT16_ONE).trunc()
+        D_k = ((stored * (W_k - 1.0) + new) / W_k).trunc() / INT16_ONE
     else:
         D_k = (D * (W_k - 1.0) + d) / W_k  # Eq. 9, the new value with weight 1
     in_band = sdf_m > -truncation_m
@@ -113,7 +115,8 @@ def colour_weight(
         w = z_m.to(w).clamp(min=NEAREST_COLOUR_M) ** -2
     if config.colour_band_voxels > 0:
         inside = 1.0 - sdf_m.to(w).abs() / (config.colour_band_voxels * config.voxel_size_m)
-        w = w * (inside.clamp(min=0.0) if config.colour_weights == "falling" else (inside >= 0).to(w))
+        falls = config.colour_weights == "falling"
+        w = w * (inside.clamp(min=0.0) if falls else (inside >= 0).to(w))
     return torch.where(W_rgb < LITTLE_COLOUR, w.clamp(min=LEAST_COLOUR_WEIGHT), w)
 
 
@@ -190,9 +193,18 @@ def corners_in_view(
 
 def _fuse_blocks(volume: TsdfVolume, rows: Int[Tensor, " B"], frame: Frame, T_CW: Float[Tensor, "4 4"]) -> int:
     """Update the voxels of some blocks from a frame, in place; returns how many were observed."""
-    before = TsdfSample(D=volume.D[rows], W=volume.W[rows], rgb=volume.rgb[rows], W_rgb=volume.W_rgb[rows])
-    after, observed = fuse_voxels(before, se3.apply(T_CW, volume.voxel_centres(rows)), frame, volume.config)
-    volume.D[rows], volume.W[rows], volume.rgb[rows], volume.W_rgb[rows] = after.D, after.W, after.rgb, after.W_rgb
+    before = TsdfSample(
+        D=volume.D[rows],
+        W=volume.W[rows],
+        rgb=volume.rgb[rows],
+        W_rgb=volume.W_rgb[rows],
+    )
+    centres_C = se3.apply(T_CW, volume.voxel_centres(rows))
+    after, observed = fuse_voxels(before, centres_C, frame, volume.config)
+    volume.D[rows] = after.D
+    volume.W[rows] = after.W
+    volume.rgb[rows] = after.rgb
+    volume.W_rgb[rows] = after.W_rgb
     return int(observed.sum())
 
 
@@ -232,11 +244,15 @@ def fuse_voxels(
     """
     camera, z = frame.camera, centres_C[..., 2]
     u, v = project(camera, centres_C).unbind(-1)  # Eq. 4
-    in_image = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    u, v = u.where(in_image, 0).long(), v.where(in_image, 0).long()  # the pixel that contains the projection
+    in_width = (u >= 0) & (u < camera.width)
+    in_height = (v >= 0) & (v < camera.height)
+    in_image = (z > 0) & in_width & in_height
+    u = u.where(in_image, 0).long()  # the pixel that contains the projection
+    v = v.where(in_image, 0).long()
     depth_m = frame.depth_m[v, u]
     sdf_m = signed_distance_m(depth_m, centres_C, config)
-    measured = in_image & (depth_m > 0) & (depth_m >= config.near_m) & (depth_m < torch.inf)
+    in_range = (depth_m >= config.near_m) & (depth_m < torch.inf)
+    measured = in_image & (depth_m > 0) & in_range
     sdf_m = sdf_m.where(measured, -torch.inf).to(before.D.dtype)
 
     band = {"truncation_m": config.truncation_m, "max_weight": config.max_weight, "average": config.average}

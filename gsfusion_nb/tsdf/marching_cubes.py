@@ -18,6 +18,7 @@ outside corners alternate, and the surface has no cracks.
 """
 
 import functools
+import itertools
 from typing import Any
 
 import torch
@@ -52,8 +53,11 @@ def _faces() -> list[list[int]]:
 
 def _sides(face: list[int]) -> list[int]:
     """Edges of a face: side i joins its corners i and i + 1."""
-    pairs = zip(face, face[1:] + face[:1], strict=True)
-    return [EDGES.index(((a ^ b).bit_length() - 1, min(a, b))) for a, b in pairs]
+    sides = []
+    for a, b in zip(face, face[1:] + face[:1], strict=True):
+        axis = (a ^ b).bit_length() - 1
+        sides.append(EDGES.index((axis, min(a, b))))
+    return sides
 
 
 _FACES = [(face, _sides(face)) for face in _faces()]
@@ -70,7 +74,9 @@ def loops(case: int) -> list[Loop]:
         turn = [inside[(i + 1) % 4] - inside[i] for i in range(4)]  # of side i: 1 goes inside, -1 comes out
         for i in range(4):
             if turn[i] == 1:
-                follows[sides[i]] = next(sides[k % 4] for k in range(i + 1, i + 4) if turn[k % 4] == -1)
+                onwards = [(i + k) % 4 for k in (1, 2, 3)]
+                out = next(k for k in onwards if turn[k] == -1)
+                follows[sides[i]] = sides[out]
     found = []
     while follows:
         loop = [min(follows)]
@@ -94,22 +100,27 @@ def _triangulations(polygon: Loop) -> list[list[Triangle]]:
         return [[]]
     found = []
     for k in range(1, len(polygon) - 1):
+        middle = (polygon[0], polygon[k], polygon[-1])
         for left in _triangulations(polygon[: k + 1]):
             for right in _triangulations(polygon[k:]):
-                found.append([*left, (polygon[0], polygon[k], polygon[-1]), *right])
+                found.append([*left, middle, *right])
     return found
 
 
 def _diagonals_in_faces(triangle: Triangle) -> int:
     """Sides of a triangle that lie in a face. The loop's own sides all do, so only the diagonals make a difference."""
-    sides = ((triangle[0], triangle[1]), (triangle[1], triangle[2]), (triangle[2], triangle[0]))
-    return sum(any(a in face and b in face for _, face in _FACES) for a, b in sides)
+    sides = itertools.combinations(triangle, 2)
+    faces = [set(edges) for _, edges in _FACES]
+    return sum(any(face.issuperset(side) for face in faces) for side in sides)
 
 
 @functools.cache
 def triangle_table() -> tuple[Tensor, Tensor]:
     """Edge numbers of the triangles of every case, padded with 0 [256, T, 3], and the number of triangles [256]."""
-    cases = [[t for loop in loops(case) for t in triangulate(loop)] for case in range(256)]
+    cases = []
+    for case in range(256):
+        triangulated = [triangulate(loop) for loop in loops(case)]
+        cases.append(list(itertools.chain.from_iterable(triangulated)))
     count = torch.tensor([len(triangles) for triangles in cases])
     table = torch.zeros(256, int(count.max()), 3, dtype=torch.int64)
     for case, triangles in enumerate(cases):
@@ -197,7 +208,8 @@ def _cube_corners(volume: TsdfVolume, rows: Int[Tensor, " B"]) -> Int[Tensor, "C
     coords = volume.block_coords[rows, None] + CORNERS.to(device)
     neighbour = volume.index.find(coords.view(-1, 3)).view(-1, 8)
     xyz = (VOXELS[:, None] + CORNERS).to(device)  # 0..8, in voxels from the corner of the block  [512, 8, 3]
-    which, number = (xyz >> 3) @ xyz.new_tensor([1, 2, 4]), (xyz & 7) @ xyz.new_tensor([64, 8, 1])
+    which = (xyz >> 3) @ xyz.new_tensor([1, 2, 4])
+    number = (xyz & 7) @ xyz.new_tensor([64, 8, 1])
     row = neighbour[:, which]
     return torch.where(row < 0, -1, row * VOXELS_PER_BLOCK + number).view(-1, 8)
 
@@ -212,7 +224,8 @@ def _vertices(volume: TsdfVolume, edges: Int[Tensor, " V"]) -> tuple[Float[Tenso
     t = (D0 / (D0 - D1))[:, None]
     centre = ijk.double() + 0.5
     xyz_W = zero_crossing(centre, centre + along, D0, D1) * volume.config.voxel_size_m
-    return xyz_W.to(D0.dtype), torch.lerp(volume.voxel_rgb(first), volume.voxel_rgb(second), t)
+    rgb = torch.lerp(volume.voxel_rgb(first), volume.voxel_rgb(second), t)
+    return xyz_W.to(D0.dtype), rgb
 
 
 @piece

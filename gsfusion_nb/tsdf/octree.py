@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
@@ -68,7 +69,8 @@ def check_range(low: int, high: int) -> None:
 def interleave(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
     """``encode`` without the check, for which the host would have to wait for a GPU."""
     spread, first_bit, place = _tables(coords.device)
-    parts = (coords.to(torch.int64) + OFFSET)[:, :, None] >> first_bit & ((1 << _PART) - 1)
+    positive = coords.to(torch.int64) + OFFSET
+    parts = positive[:, :, None] >> first_bit & ((1 << _PART) - 1)
     return (spread[parts] << place).sum((1, 2))
 
 
@@ -86,7 +88,8 @@ def _tables(device: torch.device) -> tuple[Int[Tensor, " P"], Int[Tensor, " 3"],
 
 def decode(codes: Int[Tensor, " N"]) -> Int[Tensor, "N 3"]:
     """Coordinates of Morton codes, int64; the inverse of ``encode``. Differentiable: no."""
-    packed = torch.stack([codes, codes >> 1, codes >> 2], dim=1) & _SPREAD[-1][1]
+    every_third = _SPREAD[-1][1]
+    packed = torch.stack([codes, codes >> 1, codes >> 2], dim=1) & every_third
     masks = [mask for _, mask in reversed(_SPREAD[:-1])] + [(1 << BITS) - 1]
     for (shift, _), mask in zip(reversed(_SPREAD), masks, strict=True):
         packed = (packed | (packed >> shift)) & mask
@@ -166,27 +169,41 @@ class BlockTable:
         """Cell of each block's node in the box, the block's number in the node, and whether the node is in the box."""
         nx, ny, nz = self.nodes.shape
         x, y, z = coords.long().T.contiguous()  # contiguous planes are much faster on a CPU
-        i, j, k = ((w >> NODE_BITS) - low for w, low in zip((x, y, z), self.low, strict=True))
-        inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny) & (k >= 0) & (k < nz)
-        x, y, z = (w & ((1 << NODE_BITS) - 1) for w in (x, y, z))
-        return ((i * ny + j) * nz + k) * inside, (((x << NODE_BITS) + y) << NODE_BITS) + z, inside
+        i = (x >> NODE_BITS) - self.low[0]
+        j = (y >> NODE_BITS) - self.low[1]
+        k = (z >> NODE_BITS) - self.low[2]
+        inside = (i >= 0) & (i < nx)
+        inside = inside & (j >= 0) & (j < ny)
+        inside = inside & (k >= 0) & (k < nz)
+        cell = ((i * ny + j) * nz + k) * inside
+
+        in_node = (1 << NODE_BITS) - 1
+        x = x & in_node
+        y = y & in_node
+        z = z & in_node
+        number = (((x << NODE_BITS) + y) << NODE_BITS) + z
+        return cell, number, inside
 
     def _enclose(self, low: Corner, high: Corner) -> bool:
         """Enlarge the box, with room for more, so that it holds these nodes; False if it would be too large."""
         if not self._most:
             self.low = low
-        old = [slice(a, a + n) for a, n in zip(self.low, self.nodes.shape, strict=True)]
-        if all(s.start <= a and b < s.stop for s, a, b in zip(old, low, high, strict=True)):
+        first = np.array(self.low)
+        end = first + self.nodes.shape
+        if np.all(first <= low) and np.all(np.array(high) < end):
             return True
-        starts = [min(a, s.start) for a, s in zip(low, old, strict=True)]
-        ends = [max(b + 1, s.stop) for b, s in zip(high, old, strict=True)]
-        margin = [(b - a) // 8 + 1 for a, b in zip(starts, ends, strict=True)]
-        size = [b - a + 2 * m for a, b, m in zip(starts, ends, margin, strict=True)]
+        new_first = np.minimum(low, first)
+        new_end = np.maximum(np.array(high) + 1, end)
+        margin = (new_end - new_first) // 8 + 1
+        new_first = new_first - margin
+        size = (new_end + margin - new_first).tolist()
         if math.prod(size) > TABLE_NODES:
             return False
-        self.low = _corner(a - m for a, m in zip(starts, margin, strict=True))
+
         nodes = self.nodes.new_zeros(size)
-        nodes[tuple(slice(s.start - a, s.stop - a) for s, a in zip(old, self.low, strict=True))] = self.nodes
+        x, y, z = (slice(a, b) for a, b in zip(first - new_first, end - new_first, strict=True))
+        nodes[x, y, z] = self.nodes
+        self.low = _corner(new_first.tolist())
         self.nodes = nodes
         return True
 
@@ -196,7 +213,8 @@ class BlockTable:
         if self._most >= len(self.rows):
             self._most = int(self._count) + n_nodes
         if self._most >= len(self.rows):
-            spare = self.rows.new_full((2 * self._most + 1 - len(self.rows), self.rows.shape[1]), -1)
+            n_spare = 2 * self._most + 1 - len(self.rows)
+            spare = self.rows.new_full((n_spare, self.rows.shape[1]), -1)
             self.rows = torch.cat([self.rows, spare])
 
 
@@ -298,7 +316,8 @@ class BlockIndex:
         places = torch.arange(n + len(fresh), device=fresh.device)
         at = torch.searchsorted(self._codes, fresh) + places[: len(fresh)]
         old_at = torch.searchsorted(fresh, self._codes) + places[:n]
-        self._codes, self._rows = _merge(self._codes, old_at, fresh, at), _merge(self._rows, old_at, rows, at)
+        self._codes = _merge(self._codes, old_at, fresh, at)
+        self._rows = _merge(self._rows, old_at, rows, at)
         self._added = []
 
     def level(self, k: int) -> Int[Tensor, " P"]:

@@ -78,13 +78,17 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
     H, W, n = camera.height, camera.width, camera.height * camera.width
     depth_m, normal_W, rgb = (torch.zeros(n, *channels, device=volume.device) for channels in ((), (3,), (3,)))
     if volume.n_blocks:
-        ray_W = se3.rotate(T_WC, rays(camera, pixel_grid(camera, device=volume.device))).view(n, 3)
+        ray_C = rays(camera, pixel_grid(camera, device=volume.device))
+        ray_W = se3.rotate(T_WC, ray_C).view(n, 3)
         z = _surface_depths(volume, T_WC, ray_W)
-        at, f = volume.cell_corners(T_WC[:3, 3] + z.nan_to_num()[:, None] * ray_W)
+        point_W = T_WC[:3, 3] + z.nan_to_num()[:, None] * ray_W
+        at, f = volume.cell_corners(point_W)
         hit = volume.observed(at).all(1) & ~z.isnan()
-        at, f = at[hit], f[hit]
+        at = at[hit]
+        f = f[hit]
         depth_m[hit] = z[hit]
-        gradient = (volume.D.view(-1)[at][..., None] * corner_gradients(f)).sum(1)
+        D = volume.D.view(-1)[at]
+        gradient = (D[..., None] * corner_gradients(f)).sum(1)
         normal_W[hit] = torch.nn.functional.normalize(gradient, dim=1)
         rgb[hit] = (volume.voxel_rgb(at) * corner_weights(f)[..., None]).sum(1)
     return RaycastOutput(depth_m=depth_m.view(H, W), normal_W=normal_W.view(H, W, 3), rgb=rgb.view(H, W, 3))
@@ -93,7 +97,8 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
 def _surface_depths(volume: TsdfVolume, T_WC: Float[Tensor, "4 4"], ray_W: Float[Tensor, "R 3"]) -> Float[Tensor, " R"]:
     """Depth at which each ray first changes from the free side of a surface to its inside, NaN where none does."""
     origin_W, voxel_m, truncation_m = T_WC[:3, 3], volume.config.voxel_size_m, volume.config.truncation_m
-    z_blocks = se3.apply(se3.inverse(T_WC.double()), volume.block_corners())[..., 2]
+    T_CW = se3.inverse(T_WC.double())
+    z_blocks = se3.apply(T_CW, volume.block_corners())[..., 2]
     z_last = float(z_blocks.max())
     depth = ray_W.new_full((len(ray_W),), torch.nan)
     ray = torch.arange(len(ray_W), device=ray_W.device)  # those that are still on their way
@@ -129,8 +134,10 @@ def _to_block_exit(
 ) -> Float[Tensor, " N"]:
     """Depth to add so that each point leaves its block, plus a hundredth of a voxel to be surely outside."""
     p = point_W / volume.block_size_m
-    to_wall_m = torch.where(ray_W > 0, p.floor() + 1 - p, p - p.floor()) * volume.block_size_m
-    return (to_wall_m / ray_W.abs().clamp(min=1e-9)).amin(1) + 0.01 * volume.config.voxel_size_m
+    to_wall = torch.where(ray_W > 0, p.floor() + 1 - p, p - p.floor())
+    to_wall_m = to_wall * volume.block_size_m
+    to_exit = (to_wall_m / ray_W.abs().clamp(min=1e-9)).amin(1)
+    return to_exit + 0.01 * volume.config.voxel_size_m
 
 
 def _zero_crossing(

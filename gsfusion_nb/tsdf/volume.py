@@ -175,7 +175,8 @@ class TsdfVolume:
 
     def find_voxels(self, ijk: Int[Tensor, "*N 3"]) -> Int[Tensor, "*N"]:
         """Position of each voxel in the flattened pool (row * 512 + number in the block), -1 if not allocated. int64"""
-        row = self.index.find(block_of(ijk).reshape(-1, 3)).view(ijk.shape[:-1])
+        blocks = block_of(ijk).reshape(-1, 3)
+        row = self.index.find(blocks).view(ijk.shape[:-1])
         x, y, z = (ijk & 7).unbind(-1)
         return torch.where(row < 0, -1, row * VOXELS_PER_BLOCK + 64 * x + 8 * y + z)
 
@@ -226,7 +227,8 @@ class TsdfVolume:
         """
         p = xyz_W / self.config.voxel_size_m - 0.5
         lowest = p.floor()
-        return self.find_voxels(lowest.long()[:, None] + corners(self.device)), p - lowest
+        surrounding = lowest.long()[:, None] + corners(self.device)
+        return self.find_voxels(surrounding), p - lowest
 
     def interpolate(self, xyz_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
         """Trilinear signed distance at points, in units of the truncation distance.
@@ -240,7 +242,8 @@ class TsdfVolume:
         at, f = self.cell_corners(xyz_W)
         valid = self.observed(at).all(1)
         D = torch.ones_like(f[:, 0])
-        D[valid] = (self.D.view(-1)[at[valid]] * corner_weights(f[valid])).sum(1)
+        around = self.D.view(-1)[at[valid]]
+        D[valid] = (around * corner_weights(f[valid])).sum(1)
         return D, valid
 
     def observed(self, flat: Int[Tensor, "*N"]) -> Bool[Tensor, "*N"]:
@@ -252,8 +255,10 @@ class TsdfVolume:
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """Everything needed to continue: configuration and blocks; without ``copies`` later frames change them."""
-        tensors = self._tensors().items()
-        return {"config": to_dict(self.config)} | {name: x.clone() if copies else x for name, x in tensors}
+        tensors = self._tensors()
+        if copies:
+            tensors = {name: x.clone() for name, x in tensors.items()}
+        return {"config": to_dict(self.config)} | tensors
 
     def to(self, device: torch.device | str) -> "TsdfVolume":
         """A copy of the map on ``device``."""

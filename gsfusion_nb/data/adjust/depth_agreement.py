@@ -34,7 +34,8 @@ class DepthConsistency:
 
 def sparse_points(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> Float[Tensor, "N 3"]:
     """Points of every ``step``-th pixel in both directions that has depth, in the camera's frame, metres."""
-    points = depth_to_points(camera, depth_m)[step // 2 :: step, step // 2 :: step].reshape(-1, 3)
+    sparse = slice(step // 2, None, step)
+    points = depth_to_points(camera, depth_m)[sparse, sparse].reshape(-1, 3)
     return points[points[:, 2] > 0]
 
 
@@ -50,23 +51,31 @@ def depth_consistency(
         T_ba: Transforms from camera ``a`` to camera ``b``. [*K, 4, 4]
     """
     T = T_ba.to(xyz_a.dtype)
-    P = xyz_a @ T[..., :3, :3].mT + T[..., None, :3, 3]
+    R = T[..., :3, :3]
+    t = T[..., None, :3, 3]
+    P = xyz_a @ R.mT + t
     z = P[..., 2]
     front = z > 1e-6
     uv = project(camera, torch.where(front[..., None], P, torch.ones_like(P)))
-    u, v = uv[..., 0].floor(), uv[..., 1].floor()
-    inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    measured = depth_b[v.where(inside, 0.0).long(), u.where(inside, 0.0).long()]
+    u, v = uv.floor().unbind(-1)
+    in_width = (u >= 0) & (u < camera.width)
+    in_height = (v >= 0) & (v < camera.height)
+    inside = front & in_width & in_height
+    row = v.where(inside, 0.0).long()
+    column = u.where(inside, 0.0).long()
+    measured = depth_b[row, column]
     seen = inside & (measured > 0)
     error = (z - measured).abs()
-    unit = (error / (AGREES * measured.clamp_min(1e-9))).where(seen, torch.inf)
+    tolerated = AGREES * measured.clamp_min(1e-9)
+    unit = (error / tolerated).where(seen, torch.inf)
     total = max(xyz_a.shape[0], 1)
+    median_m = torch.full(T.shape[:-2], torch.nan)
+    if len(xyz_a):
+        median_m = error.where(seen, torch.nan).nanmedian(dim=-1).values
     return DepthConsistency(
         agreeing=(unit < 1).sum(-1) / total,
         overlap=seen.sum(-1) / total,
-        median_m=error.where(seen, torch.nan).nanmedian(dim=-1).values
-        if len(xyz_a)
-        else torch.full(T.shape[:-2], torch.nan),
+        median_m=median_m,
         score=(1 - unit).clamp_min(0).sum(-1) / total,
     )
 
@@ -75,9 +84,17 @@ def thinned(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> tuple[C
     """Every ``step``-th pixel of a depth image as a smaller image with the same rays; nothing is interpolated."""
     first = (step - 1) // 2
     small = depth_m[first::step, first::step]
-    moved = {"cx": (camera.cx - first - 0.5) / step + 0.5, "cy": (camera.cy - first - 0.5) / step + 0.5}
-    size = {"width": small.shape[1], "height": small.shape[0]}
-    return replace(camera, fx=camera.fx / step, fy=camera.fy / step, **moved, **size), small
+    height, width = small.shape
+    small_camera = replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx / step,
+        fy=camera.fy / step,
+        cx=(camera.cx - first - 0.5) / step + 0.5,
+        cy=(camera.cy - first - 0.5) / step + 0.5,
+    )
+    return small_camera, small
 
 
 def relative_poses(T_WA: Float[Tensor, "*K 4 4"], T_WB: Float[Tensor, "*K 4 4"]) -> Float[Tensor, "*K 4 4"]:

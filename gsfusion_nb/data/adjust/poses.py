@@ -42,7 +42,8 @@ def reread_poses(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[
     """
     T = raw_matrices(stored, repair)
     if repair.quaternions != "as_read":
-        T = _with_rotation(T, quaternion.to_matrix(quaternion.from_matrix(T[:, :3, :3])[:, _ORDER[repair.quaternions]]))
+        quat = quaternion.from_matrix(T[:, :3, :3])
+        T = _with_rotation(T, quaternion.to_matrix(quat[:, _ORDER[repair.quaternions]]))
     if repair.poses == "world_to_camera":
         T = se3.inverse(T)
     elif repair.poses == "rotation_inverted":
@@ -85,10 +86,14 @@ def raw_matrices(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[
 
 def pose_between(T_a: Float[Tensor, "*B 4 4"], T_b: Float[Tensor, "*B 4 4"], t: float) -> Float[Tensor, "*B 4 4"]:
     """The pose at ``t`` from 0 (``T_a``) to 1 (``T_b``): linear in position, spherical in orientation."""
-    a, b = (quaternion.from_matrix(T[..., :3, :3]) for T in (T_a, T_b))
+    a = quaternion.from_matrix(T_a[..., :3, :3])
+    b = quaternion.from_matrix(T_b[..., :3, :3])
+    turned = quaternion.slerp(a, b, a.new_full(a.shape[:-1], t))
+    from_a = T_a[..., :3, 3]
+    to_b = T_b[..., :3, 3]
     T = T_a.clone()
-    T[..., :3, :3] = quaternion.to_matrix(quaternion.slerp(a, b, a.new_full(a.shape[:-1], t)))
-    T[..., :3, 3] = T_a[..., :3, 3] + t * (T_b[..., :3, 3] - T_a[..., :3, 3])
+    T[..., :3, :3] = quaternion.to_matrix(turned)
+    T[..., :3, 3] = from_a + t * (to_b - from_a)
     return T
 
 
@@ -132,10 +137,12 @@ class PosePath:
         last = len(self._times) - 1
         right = torch.searchsorted(self._times, times_s).clamp(max=last)
         left = (right - 1).clamp_min(0)
-        to_left, to_right = (times_s - self._times[left]).abs(), (times_s - self._times[right]).abs()
+        to_left = (times_s - self._times[left]).abs()
+        to_right = (times_s - self._times[right]).abs()
         in_gap = self._piece[left] != self._piece[right]
         k = right.where(in_gap & (to_right < to_left), left)
-        s, T_k = (times_s - self._times[k])[:, None], self._poses[k]
+        s = times_s - self._times[k]
+        T_k = self._poses[k]
         near = torch.stack([k + o for o in _NEIGHBOURS], 1)
         known = (near >= 0) & (near <= last)
         near = near.clamp(0, last)
@@ -143,12 +150,16 @@ class PosePath:
         at_s = self._times[near] - self._times[k, None]
         xi = torch.zeros(len(k), 6, dtype=torch.float64)
         for j in range(len(_NEIGHBOURS)):
-            share = s[:, 0] / at_s[:, j]  # Lagrange's polynomial: 1 at this neighbour, 0 at the others and at T_k
+            share = s / at_s[:, j]  # Lagrange's polynomial: 1 at this neighbour, 0 at the others and at T_k
             for m in set(range(len(_NEIGHBOURS))) - {j}:
-                share = share * ((s[:, 0] - at_s[:, m]) / (at_s[:, j] - at_s[:, m])).where(known[:, m], 1.0)
-            xi += share.where(known[:, j], 0.0)[:, None] * se3.log(se3.inverse(T_k) @ self._poses[near[:, j]])
+                factor = (s - at_s[:, m]) / (at_s[:, j] - at_s[:, m])
+                share = share * factor.where(known[:, m], 1.0)
+            share = share.where(known[:, j], 0.0)
+            xi_j = se3.log(se3.inverse(T_k) @ self._poses[near[:, j]])
+            xi += share[:, None] * xi_j
         T = T_k @ se3.exp(xi)
-        return T.where((torch.minimum(to_left, to_right) <= self.step_s)[:, None, None], torch.nan)
+        close = torch.minimum(to_left, to_right) <= self.step_s
+        return T.where(close[:, None, None], torch.nan)
 
 
 def times_of(source: Any) -> Float[Tensor, " L"] | None:

@@ -116,10 +116,13 @@ class RepairedSequence:
         j, lag_s = self._depth_images[i]
         depth_m = (frame if j == i else self.source[j]).depth_m * self.repair.depth_factor
         if self.repair.depth_kind == "ray":
-            depth_m = depth_m / rays(self.camera, pixel_grid(self.camera)).norm(dim=-1)
+            ray_length = rays(self.camera, pixel_grid(self.camera)).norm(dim=-1)
+            depth_m = depth_m / ray_length
         if not lag_s:
             return depth_m
-        return warp_depth(depth_m, self.camera, self.camera, se3.inverse(T_WC.double()) @ self._pose_after(i, lag_s))
+        T_CW = se3.inverse(T_WC.double())
+        T_from_depth = T_CW @ self._pose_after(i, lag_s)
+        return warp_depth(depth_m, self.camera, self.camera, T_from_depth)
 
     @functools.cached_property
     def _depth_images(self) -> list[tuple[int, float]]:
@@ -130,7 +133,11 @@ class RepairedSequence:
         rgb_s = self.times_s.tolist()
         depth_s = [t + offset_s for t in stamps or rgb_s]
         nearest = dict(associate(rgb_s, depth_s, max_difference_s=self._path.step_s))
-        return [(j, depth_s[j] - rgb_s[i]) for i, j in ((i, nearest.get(i, i)) for i in range(len(self)))]
+        images = []
+        for i in range(len(self)):
+            j = nearest.get(i, i)
+            images.append((j, depth_s[j] - rgb_s[i]))
+        return images
 
     def _pose_after(self, i: int, seconds: float) -> Float[Tensor, "4 4"]:
         """The pose that the camera had so long after picture ``i`` was taken, float64."""
@@ -157,7 +164,8 @@ class RepairedSequence:
         return PosePath(self.times_s, reread_poses(stored_poses(self.source), self.repair))
 
     def _reread(self, i: int) -> Float[Tensor, "4 4"]:
-        return reread_poses(self.source.pose(i).double()[None], self.repair)[0].float()
+        stored = self.source.pose(i).double()
+        return reread_poses(stored[None], self.repair)[0].float()
 
     def _colour(self, frame: Frame, i: int) -> Shaped[Tensor, "H W 3"]:
         other = i + self.repair.rgb_shift_frames
@@ -166,8 +174,12 @@ class RepairedSequence:
                 f"{self.name} frame {i} has no colour: repair.rgb_shift_frames needs that of frame {other}"
             )
         rgb = frame.colour if other == i else self.source[other].colour
-        axes = {"none": (), "x": (1,), "y": (0,), "xy": (0, 1)}[self.repair.rgb_mirror]
+        axes = _MIRRORED_AXES[self.repair.rgb_mirror]
         return shifted_colour(rgb.flip(axes) if axes else rgb, self.repair)
+
+
+_MIRRORED_AXES = {"none": (), "x": (1,), "y": (0,), "xy": (0, 1)}
+"""By the name of the axes along which a picture is mirrored: the axes of its array."""
 
 
 def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped[Tensor, "H W 3"]:
@@ -183,8 +195,9 @@ def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped
         return rgb
     size = (rgb.shape[1], rgb.shape[0])
     offset = [(1 - s) * (n - 1) / 2 + d for n, d in zip(size, shift, strict=True)]
+    to_stored = np.array([[s, 0, offset[0]], [0, s, offset[1]]])
     moved = cv2.warpAffine(
-        rgb.cpu().numpy(), np.array([[s, 0, offset[0]], [0, s, offset[1]]]), size,
+        rgb.cpu().numpy(), to_stored, size,
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE,
     )  # fmt: skip
     return torch.from_numpy(moved).to(rgb.device)
@@ -255,7 +268,8 @@ class SequenceView:
     def __getitem__(self, i: int) -> Frame:
         frame = self.source[self.positions[position(i, len(self))]]
         if self.extra is not None:
-            frame = dataclasses.replace(frame, extra={**frame.extra, **self.extra(frame)})
+            extra = {**frame.extra, **self.extra(frame)}
+            frame = dataclasses.replace(frame, extra=extra)
         return within_depth(resize_frame(frame, self.camera), self.depth_min_m, self.depth_max_m, name=self.name)
 
 

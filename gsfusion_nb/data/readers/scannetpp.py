@@ -66,7 +66,9 @@ def scannetpp(path: str | Path, *, split: str = "all", resolution: str = "auto")
     names = [n for n in listed if n in matrices and is_file(images / n) and is_file(depths / f"{Path(n).stem}.png")]
     n_train = sum(name in names for name in listed[:n_train])
     _tell_of_lacking(json_file, listed, names)
-    scene = root.resolve().parent if root.resolve().name == "dslr" else root.resolve()
+    scene = root.resolve()
+    if scene.name == "dslr":
+        scene = scene.parent
     return RecordedSequence(
         name=scene.name,
         camera=_camera(values, json_file),
@@ -125,7 +127,8 @@ def _names(path: Path, split: str) -> tuple[list[str], int]:
     lists = read_object(path, "the lists train and test")
     wanted = ("train", "test") if split == "all" else (split,)
     for key in wanted:
-        if not isinstance(lists.get(key), list) or not all(isinstance(n, str) for n in lists[key]):
+        listed = lists.get(key)
+        if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
             raise SequenceError(f"{path} must hold the key {key}, a list of image names")
     names = [name for key in wanted for name in lists[key]]
     if not names or (split == "all" and not lists["train"]):
@@ -145,7 +148,8 @@ def frame_matrices(values: dict[str, Any], path: Path) -> dict[str, Float[Tensor
 
 def _camera(values: dict[str, Any], path: Path) -> Camera:
     model = values.get("camera_model", "PINHOLE")
-    bent = [k for k in ("k1", "k2", "k3", "k4", "p1", "p2") if values.get(k, 0.0) != 0.0]
+    coefficients = ("k1", "k2", "k3", "k4", "p1", "p2")
+    bent = [name for name in coefficients if values.get(name, 0.0) != 0.0]
     if model not in ("PINHOLE", "OPENCV") or bent:
         raise SequenceError(
             f"{path} describes a distorted {model} camera; expected the undistorted images' PINHOLE camera"

@@ -114,7 +114,8 @@ def first_sequence(path: Path) -> Path:
 def calibrated_folders(path: Path) -> list[Path]:
     """Folders that may hold the calibration of a folder of images: itself, and the scene around a ``seq-XX``."""
     folder = first_sequence(path)
-    around = [folder.resolve().parent] if folder.resolve().name.startswith("seq-") else []
+    whole = folder.resolve()
+    around = [whole.parent] if whole.name.startswith("seq-") else []
     return list(dict.fromkeys([path, folder, *around]))
 
 

@@ -129,7 +129,12 @@ def benchmark_camera(folder: Path) -> str:
     if calibration_in(folder) is not None:
         return ""
     names = (given_name(folder), folder.resolve().name)
-    return next((n for f in names for n in LENSES if n in f or n.replace("freiburg", "fr") in f), "")
+    for name in names:
+        for lens in LENSES:
+            short = lens.replace("freiburg", "fr")
+            if lens in name or short in name:
+                return lens
+    return ""
 
 
 def _stream(path: Path) -> tuple[list[float], list[Path]]:
@@ -156,8 +161,12 @@ def _with_poses(path: Path, frames: list[tuple[float, int, int]]) -> list[tuple[
     for note in notes:
         log.warning("%s", note)
     stamps, rows = table[:, 0].contiguous(), table[:, 1:]
-    found = ((t, d, c, interpolate_rows(stamps, rows, t, max_gap_s=MAX_POSE_GAP_S)) for t, d, c in frames)
-    return [(t, d, c, row) for t, d, c, row in found if row is not None]
+    found = []
+    for t, d, c in frames:
+        row = interpolate_rows(stamps, rows, t, max_gap_s=MAX_POSE_GAP_S)
+        if row is not None:
+            found.append((t, d, c, row))
+    return found
 
 
 LAYOUT = Layout(read=tum, looks_for=LOOKS_FOR)

@@ -89,7 +89,8 @@ def images_in(folder: Path, suffixes: tuple[str, ...] = (".jpg", ".jpeg", ".png"
     """Images of a folder in natural order (2 before 10); hidden files are skipped. At least one, or an error."""
     if not folder.is_dir():
         raise SequenceNotFoundError(f"{folder} is not a folder; expected one with images")
-    found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
+    shown_files = (p for p in folder.iterdir() if not p.name.startswith("."))
+    found = [p for p in shown_files if p.suffix.lower() in suffixes]
     if not found:
         raise SequenceError(f"{folder} holds no images; expected files ending in {', '.join(suffixes)}")
     return sorted(found, key=natural_order)
@@ -152,7 +153,8 @@ def numbers(values: dict[str, Any], keys: tuple[str, ...], path: Path) -> dict[s
 def number(values: dict[str, Any], key: str, default: float | int, source: str | Path) -> float:
     """The number at ``key``, or ``default`` where there is none. Raises ``SequenceError`` for anything else."""
     value = values.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value):
         raise SequenceError(f"{source}: {key} must be a number, got {shown(value)}")
     return float(value)
 

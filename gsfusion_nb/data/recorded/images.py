@@ -200,7 +200,8 @@ def is_to_be_turned(data: bytes) -> bool:
 def image_size(data: bytes) -> tuple[int, int] | None:
     """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP, WebP or OpenEXR file claims; None for others."""
     if data[:4] == b"v/1\x01":
-        windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(data[: 1 << 20])]
+        header = data[: 1 << 20]
+        windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(header)]
         sizes = [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
         return max(sizes, key=lambda size: size[0] * size[1], default=None)
     from PIL import Image

@@ -49,8 +49,11 @@ def read_words(path: Path, what: str) -> list[tuple[int, list[str]]]:
 
 def read_lines(path: Path, what: str) -> list[tuple[int, str]]:
     """Line number and text of every line that is neither empty nor a ``#`` comment. At least one, or an error."""
-    lines = [(number, line.strip()) for number, line in enumerate(read_text(path, what).splitlines(), 1)]
-    lines = [(number, line) for number, line in lines if line.strip(" ,") and not line.startswith("#")]
+    lines = []
+    for number, line in enumerate(read_text(path, what).splitlines(), 1):
+        line = line.strip()
+        if line.strip(" ,") and not line.startswith("#"):
+            lines.append((number, line))
     if not lines:
         raise SequenceError(f"{path} is empty; expected {what}")
     check_decimal_points(lines[0][1], path)
@@ -68,7 +71,8 @@ def check_decimal_points(line: str, path: Path) -> None:
 
 def write_pose_lines(path: Path, T_WC: Float[Tensor, "N 4 4"]) -> None:
     """Write ``poses.txt`` or ``traj.txt``: 16 row-major numbers per line."""
-    lines = (" ".join(f"{value:.9g}" for value in pose) for pose in T_WC.double().flatten(1).tolist())
+    poses = T_WC.double().flatten(1).tolist()
+    lines = (" ".join(f"{value:.9g}" for value in pose) for pose in poses)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -205,7 +209,11 @@ def split_name(line: str) -> tuple[str | None, list[str]]:
     words = line.replace(",", " ").split()
     if len(words) != 17:
         return None, words
-    name = next((words[0][: -len(s)] for s in _SUFFIXES if words[0].lower().endswith(s)), words[0])
+    name = words[0]
+    for suffix in _SUFFIXES:
+        if name.lower().endswith(suffix):
+            name = name[: -len(suffix)]
+            break
     return name, words[1:]
 
 
