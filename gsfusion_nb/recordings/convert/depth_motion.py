@@ -49,7 +49,7 @@ _CLEAR = 0.85
 those that are not tried closely below ``_CLEAR_FAR``."""
 _CLEAR_FAR = 0.95
 _NEAR = 1.2
-_SNAPS = 1.06
+_SNAPS = 1.1
 """A unit that programs write is taken if the best one is nearer to it than this factor."""
 _FILMED_M = (0.1, 60.0)
 """Medians of depth that people film."""
@@ -73,8 +73,7 @@ def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | 
         options: How it is read.
 
     Raises:
-        OptionNeeded: the poses or the camera are missing.
-        SequenceError: the motion tells a unit that no program writes.
+        OptionNeeded: the poses or the camera are missing, or the motion tells a unit that no program writes.
     """
     poses = FramePoses(recording, options)
     if poses.none:

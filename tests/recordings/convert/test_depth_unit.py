@@ -8,6 +8,7 @@ import torch
 
 from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.readers.folder import folder as read_folder
+from gsfusion_nb.recordings.convert.depth_camera import told_unit
 from gsfusion_nb.recordings.convert.depth_motion import PosedDepth, units_per_metre
 from gsfusion_nb.recordings.convert.depth_unit import find_depth_unit
 
@@ -81,8 +82,50 @@ def test_the_motion_of_a_kinect_tells_the_unit(walk, scale):
     assert units_per_metre([(posed(a), posed(b)) for a, b in walk]) == pytest.approx(scale, rel=0.05)
 
 
+@pytest.mark.parametrize("wrong", ["inverted", "opengl"])
+def test_wrong_poses_tell_no_unit(walk, wrong):
+    """They must not move a right unit: the check names them."""
+    flip = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+
+    def posed(frame):
+        T = frame.T_WC.double()
+        return PosedDepth(1000 * frame.depth_m, frame.camera, torch.linalg.inv(T) if wrong == "inverted" else T @ flip)
+
+    assert units_per_metre([(posed(a), posed(b)) for a, b in walk]) is None
+
+
 def test_a_camera_that_stands_tells_no_unit(walk):
     still = torch.eye(4, dtype=torch.float64)
     pairs = [(PosedDepth(a.depth_m, a.camera, still), PosedDepth(a.depth_m, a.camera, still)) for a, _ in walk]
     assert units_per_metre(pairs) is None
     assert units_per_metre([]) is None
+
+
+@pytest.mark.parametrize(
+    ("tree", "scale"),
+    [
+        ({"m_depthShift": 1000.0}, 1000),  # BundleFusion, ScanNet
+        ({"Camera": {"fx": 525.0}, "DepthMapFactor": 5000.0}, 5000),  # ORB-SLAM2
+        ({"RGBD": {"DepthMapFactor": 1000.0}}, 1000),  # ORB-SLAM3
+        ({"camera": {"scale": 6553.5}}, 6553.5),  # Replica of NICE-SLAM
+        ({"depth_scale": 0.001}, 1000),  # RealSense: metres per unit
+        ({"depth_scale": 0.1}, 10_000),  # BOP: millimetres per unit
+        ({"depth_scale": 5000}, 5000),
+    ],
+)
+def test_a_calibration_tells_the_unit_in_its_own_way(tree, scale):
+    unit, notes = told_unit(tree, "camera.yaml", depths(0.6, 3.0, scale))
+    assert unit is not None
+    assert unit.scale == pytest.approx(scale)
+    assert (unit.is_guess, notes) == (False, [])
+    assert "of camera.yaml says" in unit.sentence
+
+
+def test_a_unit_that_cannot_be_is_named_and_not_used():
+    """ORB-SLAM's nodes for ROS have a factor of 1, since their depth comes in metres."""
+    unit, notes = told_unit({"DepthMapFactor": 1.0}, "camera.yaml", depths(0.6, 3.0, 1000))
+    assert unit is None
+    assert "DepthMapFactor of camera.yaml would make the median depth 1.8e+03 m, so it is not used" in notes[0]
+    assert told_unit({"scale": 1.0, "fps": 30.0}, "camera.yaml", depths(0.6, 3.0, 1000)) == (None, [])
+    with pytest.raises(SequenceError, match="several units of depth, m_depthShift 1000, DepthMapFactor 5000"):
+        told_unit({"m_depthShift": 1000.0, "DepthMapFactor": 5000.0}, "info.txt", depths(0.6, 3.0, 1000))

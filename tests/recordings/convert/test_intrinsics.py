@@ -181,3 +181,16 @@ def test_yaml_runs_no_code(tmp_path):
     (tmp_path / "camera.yaml").write_text("fx: !!python/object/apply:os.system ['touch here']\nfy: 1\ncx: 1\ncy: 1\n")
     with pytest.raises(SequenceError):
         read_intrinsics(str(tmp_path / "camera.yaml"), SIZE)
+
+
+def test_the_camera_of_a_zed_is_the_left_one_of_the_images_size(tmp_path):
+    sizes = {"2K": 1060.0, "FHD": 1058.0, "HD": 529.0, "VGA": 264.0}
+    lines = []
+    for side, more in (("LEFT", 0.0), ("RIGHT", 5.0)):
+        for name, focal in sizes.items():
+            lines += [f"[{side}_CAM_{name}]", f"fx={focal + more}", f"fy={focal + more}", "cx=600.5", "cy=350.5"]
+    (tmp_path / "SN1.conf").write_text("\n".join(lines))
+    model = read_intrinsics(str(tmp_path / "SN1.conf"), (1280, 720))
+    assert (model.camera.fx, model.camera.cx) == (529.0, 601.0)
+    with pytest.raises(SequenceError, match="holds 8 cameras"):
+        read_intrinsics(str(tmp_path / "SN1.conf"), (640, 360))
