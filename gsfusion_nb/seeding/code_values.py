@@ -297,7 +297,10 @@ class ValueHash:
             return
         self._text(f"{x.dtype} {tuple(x.shape)} {x.stride()} {x.requires_grad} {x.device.type}")
         plain = x.detach().cpu().resolve_conj().resolve_neg().contiguous()
-        self._hash.update(plain.view(-1).view(torch.uint8).numpy().tobytes())
+        flat = plain.view(-1)
+        if flat.stride(0) != 1:  # one value of a column counts as contiguous, and cannot be seen as bytes
+            flat = flat.clone(memory_format=torch.contiguous_format)
+        self._hash.update(flat.view(torch.uint8).numpy().tobytes())
         if type(x) not in (torch.Tensor, torch.nn.Parameter):
             self.add(type(x))
         self._attributes(getattr(x, "__dict__", {}))

@@ -38,6 +38,7 @@ import torch
 from gsfusion_nb import backends
 from gsfusion_nb.seeding import SeedContext, code_key, installed, is_built_in, registered
 from gsfusion_nb.seeding.code_key import differing, loaded_values
+from gsfusion_nb.seeding.code_values import ValueHash
 from gsfusion_nb.seeding.patches import changed_values, changes_since, library_state, patches, switches
 from gsfusion_nb.seeding.rule_code import load_rule_file
 
@@ -801,3 +802,15 @@ def test_the_key_is_the_same_in_every_process(files, tmp_path):
     command = [sys.executable, "-c", KEY_OF_A_FILE, f"{tmp_path / 'rule.py'}:rule"]
     there = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
     assert json.loads(there) == here
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_a_column_of_one_value_is_hashed(n):
+    """It counts as contiguous whatever its stride is, and was refused."""
+    hashes = []
+    for number in (1.0, 1.0, 2.0):
+        values = ValueHash()
+        values.add(torch.full((n, 64), number)[:, 0])
+        hashes.append(values.hexdigest())
+    assert hashes[0] == hashes[1]
+    assert (hashes[0] != hashes[2]) == (n == 1)
