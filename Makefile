@@ -51,6 +51,7 @@ MUTANTS ?= 40
 MINUTES ?= 120
 campaign: dev
 	$(BIN)/python tests/campaign/kills.py --kills 300
+	$(BIN)/python tests/campaign/interrupts.py --tries 60
 	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow --ignore=tests/browser
 	$(BIN)/python -m pytest -m slow tests/browser

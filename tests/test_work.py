@@ -97,6 +97,7 @@ def test_the_memory_of_a_map_is_known_before_it_is_made():
     assert needed["voxel blocks"] == pytest.approx(mapper.volume.memory_bytes / 1e9, rel=1e-6)
     n_bytes = sum(column.nbytes for column in mapper.gaussians.columns.values())
     assert needed["Gaussians"] == pytest.approx(n_bytes / 1e9, rel=0.5)
+    assert needed["mesh"] == pytest.approx(len(mapper.mesh().faces) * 130 / 1e9, rel=0.3)
 
 
 def test_without_poses_the_memory_is_not_known(monkeypatch):
