@@ -131,8 +131,10 @@ def correlation(frame: Frame, surface: Surface) -> float | None:
     both &= (surface.depth_m - frame.depth_m).abs() < SAME_SURFACE_M
     if int(both.sum()) < ENOUGH_PIXELS:
         return None
-    a, b = (image[both].mean(dim=-1) for image in (frame.rgb, surface.rgb))
-    a, b = a - sum_rows(a) / len(a), b - sum_rows(b) / len(b)
+    a = frame.rgb[both].mean(dim=-1)
+    b = surface.rgb[both].mean(dim=-1)
+    a = a - sum_rows(a) / len(a)
+    b = b - sum_rows(b) / len(b)
     norm = float((sum_rows(a * a) * sum_rows(b * b)).sqrt())
     return float(sum_rows(a * b)) / norm if norm > 1e-3 else None
 
@@ -236,8 +238,10 @@ def why_no_fit(result: IcpResult, *, strict: bool) -> str:
 def why_too_far(last: Tensor, T_WC: Tensor, config: TrackingConfig, *, frames: int) -> str:
     """The reason why the camera cannot have moved from ``last`` to ``T_WC`` [4, 4] in this number of frames."""
     step = se3.inverse(last) @ T_WC
-    moved_m, turned_deg = float(step[:3, 3].norm()), float(se3.rotation_angle(step[:3, :3]).rad2deg())
-    most_m, most_deg = frames * config.max_step_m, frames * config.max_step_deg
+    moved_m = float(step[:3, 3].norm())
+    turned_deg = float(se3.rotation_angle(step[:3, :3]).rad2deg())
+    most_m = frames * config.max_step_m
+    most_deg = frames * config.max_step_deg
     if moved_m > most_m or turned_deg > most_deg:
         return (
             f"it would have moved {moved_m:.2f} m and turned {turned_deg:.0f} degrees since the last one (at most "

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..checks import check_pose
-from ..geometry import backproject, project, quaternion, se3
+from ..geometry import backproject, pixel_grid, project, quaternion, se3
 from ..types import Camera, Frame
 from .bundle_adjustment import adjust
 from .features import FEATURES, LEVELS, Features
@@ -64,10 +64,12 @@ MIN_INLIERS = 30
 def may_drift(drift: Float[Tensor, "4 4"], T_WC: Float[Tensor, "K 4 4"]) -> bool:
     """Whether a drift is plausible along these poses: at most 0.3 m and 10 degrees plus a fifth of the path."""
     steps = se3.inverse(T_WC[:-1]) @ T_WC[1:]
-    most_m = DRIFT_M + DRIFT_SHARE * float(steps[:, :3, 3].norm(dim=1).sum())
-    most_deg = DRIFT_DEG + DRIFT_SHARE * float(torch.rad2deg(se3.rotation_angle(steps[:, :3, :3]).sum()))
+    path_m = float(steps[:, :3, 3].norm(dim=1).sum())
+    path_deg = float(torch.rad2deg(se3.rotation_angle(steps[:, :3, :3]).sum()))
+    metres = float(drift[:3, 3].norm())
     degrees = float(torch.rad2deg(se3.rotation_angle(drift[:3, :3])))
-    return float(drift[:3, 3].norm()) <= most_m and degrees <= most_deg
+    plausible_m = metres <= DRIFT_M + DRIFT_SHARE * path_m
+    return plausible_m and degrees <= DRIFT_DEG + DRIFT_SHARE * path_deg
 
 
 def why_not_same_place(
@@ -90,7 +92,9 @@ def why_not_same_place(
     if spread < MIN_CELLS:
         return f"all matches lie in {spread} of 16 parts of the image"
     query, reference = thumbnails
-    for a, b, T_BA in ((query, reference, pose.T_RQ), (reference, query, se3.inverse(pose.T_RQ))):
+    there = (query, reference, pose.T_RQ)
+    back = (reference, query, se3.inverse(pose.T_RQ))
+    for a, b, T_BA in (there, back):
         share, pixels = depth_agreement(camera, a, b, T_BA)
         if pixels >= MIN_DEPTH_PIXELS and share < MIN_DEPTH_AGREEMENT:
             return f"the depths agree at {share:.0%} of the pixels"
@@ -115,16 +119,20 @@ def depth_agreement(
     """
     height, width = depth_a.shape
     small = camera.resized(width, height)
-    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
     known = depth_a > 0
-    xyz_A = backproject(small, torch.stack([u, v], -1)[known], depth_a[known]).double()
+    uv_A = pixel_grid(small)[known]
+    xyz_A = backproject(small, uv_A, depth_a[known]).double()
     xyz_B = se3.apply(T_BA, xyz_A)
     xyz_B = xyz_B[xyz_B[:, 2] > 0.1]
     uv = project(small, xyz_B)
-    column, row = uv[:, 0].floor().long(), uv[:, 1].floor().long()
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    z, seen = xyz_B[inside, 2], depth_b[row[inside], column[inside]].double()
-    z, seen = z[seen > 0], seen[seen > 0]
+    column, row = uv.floor().long().unbind(1)
+    in_width = (column >= 0) & (column < width)
+    in_height = (row >= 0) & (row < height)
+    inside = in_width & in_height
+    z = xyz_B[inside, 2]
+    seen = depth_b[row[inside], column[inside]].double()
+    z = z[seen > 0]
+    seen = seen[seen > 0]
     tolerance = DEPTH_TOLERANCE[0] + DEPTH_TOLERANCE[1] * seen
     agree = int(((z - seen).abs() <= tolerance).sum())
     contradict = int((z < seen - tolerance).sum())
@@ -174,7 +182,9 @@ class LoopFinder:
         if pose is None or len(pose.rows) < MIN_INLIERS:
             return None
         T_WR = self.database.T_WC[earlier]
-        around = list(range(max(0, earlier - AROUND), min(earlier + AROUND, row - MIN_GAP) + 1))
+        first = max(0, earlier - AROUND)
+        last = min(earlier + AROUND, row - MIN_GAP)
+        around = list(range(first, last + 1))
         pairs = self.landmarks.find(features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * camera.width)
         return refine_pose(self.landmarks.rows(features, pairs, T_WR), pose.T_RQ, pairs)
 
@@ -221,12 +231,13 @@ class Correction:
         a = torch.where(before < 0, b.clamp_max(0), a)
         b = torch.where(before < 0, a, b)
         gap = (keyframe[b] - keyframe[a]).clamp_min(1)
-        t = ((frame_index.to(keyframe) - keyframe[a]).double() / gap).clamp(0, 1) * (a != b)
+        passed = (frame_index.to(keyframe) - keyframe[a]).double()
+        t = (passed / gap).clamp(0, 1) * (a != b)
         motion = _motion(self.T_WC_old, self.T_WC_new)
         D_a, D_b = motion[a], motion[b]
-        R = quaternion.to_matrix(
-            quaternion.slerp(quaternion.from_matrix(D_a[:, :3, :3]), quaternion.from_matrix(D_b[:, :3, :3]), t)
-        )
+        quat_a = quaternion.from_matrix(D_a[:, :3, :3])
+        quat_b = quaternion.from_matrix(D_b[:, :3, :3])
+        R = quaternion.to_matrix(quaternion.slerp(quat_a, quat_b, t))
         s = t[:, None]
         c = (1 - s) * self.T_WC_old[a, :3, 3] + s * self.T_WC_old[b, :3, 3]
         moved = (1 - s) * _apply(D_a, c) + s * _apply(D_b, c)
@@ -234,7 +245,8 @@ class Correction:
         D[:, :3, :3] = R
         D[:, :3, 3] = moved - (R @ c[:, :, None])[:, :, 0]
         D = torch.where((t == 0)[:, None, None], D_a, D)
-        return torch.where(((D_a == D_b).flatten(1).all(1))[:, None, None], D_a, D)
+        equal = (D_a == D_b).flatten(1).all(1)
+        return torch.where(equal[:, None, None], D_a, D)
 
 
 def _motion(T_old: Tensor, T_new: Tensor) -> Tensor:
@@ -245,7 +257,8 @@ def _motion(T_old: Tensor, T_new: Tensor) -> Tensor:
 
 
 def _apply(T: Tensor, xyz: Tensor) -> Tensor:
-    return (T[:, :3, :3] @ xyz[:, :, None])[:, :, 0] + T[:, :3, 3]
+    turned = T[:, :3, :3] @ xyz[:, :, None]
+    return turned[:, :, 0] + T[:, :3, 3]
 
 
 TIED_TO = 3

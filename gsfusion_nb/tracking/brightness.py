@@ -62,8 +62,12 @@ class BrightnessSystem:
 
         With r + J xi - e, the best e is the mean of the rest; put in, the means of J and r are taken away.
         """
-        J1, r1, w = self.gram[:6, 7], self.gram[6, 7], self.gram[7, 7].clamp_min(1e-12)
-        return self.gram[:6, :6] - torch.outer(J1, J1) / w, self.gram[:6, 6] - J1 * r1 / w
+        J1 = self.gram[:6, 7]
+        r1 = self.gram[6, 7]
+        w = self.gram[7, 7].clamp_min(1e-12)
+        H = self.gram[:6, :6] - torch.outer(J1, J1) / w
+        b = self.gram[:6, 6] - J1 * r1 / w
+        return H, b
 
 
 @piece
@@ -82,7 +86,8 @@ def brightness_rows(
     Differentiable: yes, through torch. Source: Steinbruecker, Sturm & Cremers 2011.
     """
     x, y, z = xyz_S.unbind(-1)
-    a, b = gradient[:, 0] * camera.fx / z, gradient[:, 1] * camera.fy / z
+    a = gradient[:, 0] * camera.fx / z
+    b = gradient[:, 1] * camera.fy / z
     v_xyz = torch.stack([a, b, -(a * x + b * y) / z], dim=-1) @ R_WS.T
     return torch.cat([v_xyz, torch.linalg.cross(xyz, v_xyz)], dim=-1)
 
@@ -141,13 +146,20 @@ def brightness_system(
     xyz_S = xyz @ R_WS
     u, v = project(picture.camera, xyz_S).unbind(-1)
     H, W = picture.camera.height, picture.camera.width
-    inside = (level.depth_m.view(-1) > 0) & (xyz_S[:, 2] > 0) & (u >= 0) & (u < W) & (v >= 0) & (v < H)
-    row, column = v.where(inside, 0.0).long(), u.where(inside, 0.0).long()
-    depth_m, gradient = picture.depth_m.to(dtype)[row, column], picture.gradient.to(dtype)[row, column]
+    ahead = (level.depth_m.view(-1) > 0) & (xyz_S[:, 2] > 0)
+    in_width = (u >= 0) & (u < W)
+    in_height = (v >= 0) & (v < H)
+    inside = ahead & in_width & in_height
+    row = v.where(inside, 0.0).long()
+    column = u.where(inside, 0.0).long()
+    depth_m = picture.depth_m.to(dtype)[row, column]
+    gradient = picture.gradient.to(dtype)[row, column]
     near = (depth_m > 0) & ((xyz_S[:, 2] - depth_m).abs() <= max_distance_m)
     rows = inside & near & (gradient.square().sum(-1) >= FLAT**2)
     there = picture.brightness.to(dtype)[row, column]
-    there = there + gradient[:, 0] * (u - column - 0.5) + gradient[:, 1] * (v - row - 0.5)
+    from_centre_u = u - column - 0.5
+    from_centre_v = v - row - 0.5
+    there = there + gradient[:, 0] * from_centre_u + gradient[:, 1] * from_centre_v
     r = (there - brightness.to(dtype).view(-1))[rows]
     J = brightness_rows(xyz[rows], xyz_S[rows], gradient[rows], picture.camera, R_WS)
     m = torch.cat([J, r[:, None], torch.ones_like(r)[:, None]], dim=1).double()
@@ -193,9 +205,14 @@ def picture_of(surface: Surface, rgb: Float[Tensor, "H W 3"], factor: int) -> Pi
     """The picture of a surface at one level; where a block or a neighbour has no depth, the gradient is 0."""
     brightness = reduce_image(rgb.mean(dim=-1), factor)
     seen = reduce_image((surface.depth_m > 0).to(brightness), factor) > 0.99
-    edged, known = pad(brightness[None], (1, 1, 1, 1), mode="replicate")[0], pad(seen, (1, 1, 1, 1))
-    gradient = torch.stack([edged[1:-1, 2:] - edged[1:-1, :-2], edged[2:, 1:-1] - edged[:-2, 1:-1]], dim=-1) / 2
-    around = seen & known[1:-1, 2:] & known[1:-1, :-2] & known[2:, 1:-1] & known[:-2, 1:-1]
+    edged = pad(brightness[None], (1, 1, 1, 1), mode="replicate")[0]
+    across = edged[1:-1, 2:] - edged[1:-1, :-2]
+    down = edged[2:, 1:-1] - edged[:-2, 1:-1]
+    gradient = torch.stack([across, down], dim=-1) / 2
+    known = pad(seen, (1, 1, 1, 1))
+    left_and_right = known[1:-1, 2:] & known[1:-1, :-2]
+    above_and_below = known[2:, 1:-1] & known[:-2, 1:-1]
+    around = seen & left_and_right & above_and_below
     sizes = zip(seen.shape, surface.depth_m.shape, strict=True)
     row, column = ((torch.arange(n) * factor + factor // 2).clamp(max=full - 1) for n, full in sizes)
     return Picture(

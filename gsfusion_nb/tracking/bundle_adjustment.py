@@ -79,12 +79,16 @@ def adjust(
     system = problem.system(T_WC, xyz)
     for _ in range(iterations):
         xi, dx = system.step(damping)
-        T_new, xyz_new = T_WC @ se3.exp(torch.from_numpy(xi)), xyz + dx
+        T_new = T_WC @ se3.exp(torch.from_numpy(xi))
+        xyz_new = xyz + dx
         after = problem.error(T_new, xyz_new)
         if not after < error:
             damping *= 10
             continue
-        T_WC, xyz, fell, error = T_new, xyz_new, error - after, after
+        fell = error - after
+        T_WC = T_new
+        xyz = xyz_new
+        error = after
         if fell < ADJUST_LEAST_FALL * error:
             break
         damping /= 10
@@ -102,11 +106,15 @@ class _Points:
 
     def V_inv(self, damping: float) -> Float[ndarray, "L 3 3"]:
         """The inverse of each block, damped."""
-        return np.linalg.inv(self.V * (1 + damping * np.eye(3)) + 1e-9 * np.eye(3)) if len(self.V) else self.V
+        if not len(self.V):
+            return self.V
+        damped = self.V * (1 + damping * np.eye(3)) + 1e-9 * np.eye(3)
+        return np.linalg.inv(damped)
 
     def step(self, damping: float) -> tuple[Float[ndarray, "K 6"], Float[ndarray, "L 3"]]:
         """Twists of the poses, which are 0, and shifts of the landmarks."""
-        return np.zeros((self.n_poses, 6)), -(self.V_inv(damping) @ self.b_x[:, :, None])[:, :, 0]
+        dx = -(self.V_inv(damping) @ self.b_x[:, :, None])
+        return np.zeros((self.n_poses, 6)), dx[:, :, 0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,15 +136,21 @@ class _System(_Points):
         K, L = len(self.b_p), len(self.V)
         V_inv = self.V_inv(damping)
         Y = self.W @ V_inv[self.landmark]  # the blocks of W V^-1
-        rows = (6 * self.keyframe[:, None] + np.arange(6))[:, :, None].repeat(3, 2).ravel()
-        columns = (3 * self.landmark[:, None] + np.arange(3))[:, None].repeat(6, 1).ravel()
-        both = [coo_matrix((block.ravel(), (rows, columns)), (6 * K, 3 * L)).tocsr() for block in (Y, self.W)]
-        S = self.U - (both[0] @ both[1].T).toarray()
+        rows = 6 * self.keyframe[:, None] + np.arange(6)
+        columns = 3 * self.landmark[:, None] + np.arange(3)
+        place = (rows[:, :, None].repeat(3, 2).ravel(), columns[:, None].repeat(6, 1).ravel())
+        size = (6 * K, 3 * L)
+        all_Y = coo_matrix((Y.ravel(), place), size).tocsr()
+        all_W = coo_matrix((self.W.ravel(), place), size).tocsr()
+
+        S = self.U - (all_Y @ all_W.T).toarray()
         S[np.diag_indices_from(S)] += damping * np.diag(self.U) + 1e-9
-        b = self.b_p.ravel() - both[0] @ self.b_x.ravel()
+        b = self.b_p.ravel() - all_Y @ self.b_x.ravel()
+        free_S = S[np.ix_(self.free, self.free)]
         xi = np.zeros(6 * K)
-        xi[self.free] = -np.linalg.solve(S[np.ix_(self.free, self.free)], b[self.free])
-        dx = -(V_inv @ (self.b_x + (both[1].T @ xi).reshape(L, 3))[:, :, None])[:, :, 0]
+        xi[self.free] = -np.linalg.solve(free_S, b[self.free])
+        rest = self.b_x + (all_W.T @ xi).reshape(L, 3)
+        dx = -(V_inv @ rest[:, :, None])[:, :, 0]
         return xi.reshape(K, 6), dx
 
 
@@ -158,7 +172,10 @@ class _Problem:
         """Half the sum of robust squared errors."""
         e, _, _, _ = self._errors(T_WC, xyz)
         total = 0.5 * robust_cost(e)
-        return total if self.edges is None else total + self.edges.robust_error(self.edges.errors(T_WC)[0])
+        if self.edges is None:
+            return total
+        of_edges, *_ = self.edges.errors(T_WC)
+        return total + self.edges.robust_error(of_edges)
 
     def system(self, T_WC: Tensor, xyz: ndarray) -> _Points:
         """The normal equations with the weights of this state."""
@@ -174,7 +191,8 @@ class _Problem:
         wJ_p = w[:, None, None] * J_p
         b_p = _added(self.of_keyframe, (wJ_p * e[:, :, None]).sum(1))
         whole = np.zeros((K, K, 6, 6))
-        whole[np.arange(K), np.arange(K)] = _added(self.of_keyframe, wJ_p.transpose(0, 2, 1) @ J_p)
+        diagonal = np.arange(K)
+        whole[diagonal, diagonal] = _added(self.of_keyframe, wJ_p.transpose(0, 2, 1) @ J_p)
         self._add_edges(T_WC, whole, b_p)
         return _System(
             U=whole.transpose(0, 2, 1, 3).reshape(6 * K, 6 * K),
@@ -191,8 +209,10 @@ class _Problem:
     def _errors(self, T_WC: Tensor, xyz: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray]:
         T = T_WC.numpy()[self.keyframe]
         R = T[:, :3, :3]
-        y = np.einsum("oji,oj->oi", R, xyz[self.landmark] - T[:, :3, 3])
-        return *point_errors(self.camera, y, self.uv, self.inverse, self.sigma_px, self.sigma_inverse), y, R
+        from_camera = xyz[self.landmark] - T[:, :3, 3]
+        y = np.einsum("oji,oj->oi", R, from_camera)
+        e, by_y = point_errors(self.camera, y, self.uv, self.inverse, self.sigma_px, self.sigma_inverse)
+        return e, by_y, y, R
 
     def _add_edges(self, T_WC: Tensor, U: ndarray, b_p: ndarray) -> None:
         if self.edges is None:
@@ -202,7 +222,8 @@ class _Problem:
         ends = (self.edges.i.numpy(), self.edges.j.numpy())
         for a, J_a in zip(ends, J, strict=True):
             weighted = J_a.mT @ information
-            np.add.at(b_p, a, (weighted @ e[:, :, None])[:, :, 0].numpy())
+            pull = weighted @ e[:, :, None]
+            np.add.at(b_p, a, pull[:, :, 0].numpy())
             for c, J_c in zip(ends, J, strict=True):
                 np.add.at(U, (a, c), (weighted @ J_c).numpy())
 
@@ -211,7 +232,8 @@ def _members(group: ndarray, n: int) -> Any:
     """A sparse matrix [n, O] that adds up the rows of each of ``n`` groups, in their order."""
     from scipy.sparse import csr_matrix
 
-    return csr_matrix((np.ones(len(group)), (group, np.arange(len(group)))), (n, len(group)))
+    count = len(group)
+    return csr_matrix((np.ones(count), (group, np.arange(count))), (n, count))
 
 
 def _added(members: Any, values: Float[ndarray, "O *S"]) -> Float[ndarray, "N *S"]:

@@ -120,13 +120,16 @@ def _spread(position: ndarray, strength: ndarray, count: int, shape: tuple[int, 
     height, width = shape
     edge = max(8.0, 2.0 * (height * width / count) ** 0.5)
     columns = int(width // edge) + 1
-    cell = (position[:, 1] // edge).astype(int) * columns + (position[:, 0] // edge).astype(int)
+    column, row = (position // edge).astype(int).T
+    cell = row * columns + column
     strongest = np.argsort(-strength, kind="stable")
     order = _stable_order(cell[strongest])
     sorted_cell = cell[strongest][order]
-    start = np.maximum.accumulate(np.where(np.diff(sorted_cell, prepend=-1) != 0, np.arange(len(order)), 0))
+    place = np.arange(len(order))
+    begins = np.diff(sorted_cell, prepend=-1) != 0
+    start = np.maximum.accumulate(np.where(begins, place, 0))
     rank = np.empty(len(order), int)  # in its cell
-    rank[order] = np.arange(len(order)) - start
+    rank[order] = place - start
     return np.sort(strongest[_stable_order(rank)[:count]])
 
 
@@ -176,7 +179,9 @@ def _depth_at(depth_m: ndarray, uv: ndarray) -> tuple[ndarray, ndarray]:
     low, high = patch.min((0, 1)), patch.max((0, 1))
     trusted = (low > 0) & (high - low <= EDGE_SHARE * low)
     inverse = 1.0 / np.where(patch > 0, patch, 1.0)[1:3, 1:3]
-    fx, fy = np.clip(x - x0, 0, 1), np.clip(y - y0, 0, 1)
+    fx = np.clip(x - x0, 0, 1)
+    fy = np.clip(y - y0, 0, 1)
     top = inverse[0, 0] * (1 - fx) + inverse[0, 1] * fx
     bottom = inverse[1, 0] * (1 - fx) + inverse[1, 1] * fx
-    return np.where(trusted, 1.0 / (top * (1 - fy) + bottom * fy), 0.0), trusted
+    inverse_at = top * (1 - fy) + bottom * fy
+    return np.where(trusted, 1.0 / inverse_at, 0.0), trusted

@@ -53,7 +53,9 @@ class IcpSystem:
 
     def plus(self, H: Float[Tensor, "6 6"], b: Float[Tensor, " 6"]) -> "IcpSystem":
         """The system with the sums of further rows; distances and counts stay those of depth."""
-        return dataclasses.replace(self, H=self.H.cpu() + H.cpu(), b=self.b.cpu() + b.cpu())
+        both_H = self.H.cpu() + H.cpu()
+        both_b = self.b.cpu() + b.cpu()
+        return dataclasses.replace(self, H=both_H, b=both_b)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,8 +115,12 @@ def associate(
     xyz_S = xyz @ R_WS
     u, v = project(surface.camera, xyz_S).unbind(-1)
     H, W = surface.camera.height, surface.camera.width
-    inside = (level.depth_m > 0) & (xyz_S[..., 2] > 0) & (u >= 0) & (u < W) & (v >= 0) & (v < H)
-    row, column = v.where(inside, 0.0).long(), u.where(inside, 0.0).long()
+    ahead = (level.depth_m > 0) & (xyz_S[..., 2] > 0)
+    in_width = (u >= 0) & (u < W)
+    in_height = (v >= 0) & (v < H)
+    inside = ahead & in_width & in_height
+    row = v.where(inside, 0.0).long()
+    column = u.where(inside, 0.0).long()
 
     surface_xyz_S = depth_to_points(surface.camera, surface.depth_m.to(dtype))[row, column]
     surface_xyz = surface_xyz_S @ R_WS.T
@@ -186,7 +192,9 @@ def icp_system(
     found = associate(level, T_WC, surface, max_distance_m=max_distance_m, min_cosine=min_cosine)
     rows = found.inlier
     r, J = point_to_plane(found.xyz[rows], found.surface_xyz[rows], found.surface_normal[rows])
-    r, J, w = r.double(), J.double(), depth_weight(level.depth_m[rows], even_to_m).double()
+    r = r.double()
+    J = J.double()
+    w = depth_weight(level.depth_m[rows], even_to_m).double()
     return IcpSystem(
         H=J.T @ (w[:, None] * J),
         b=J.T @ (w * r),
@@ -250,12 +258,18 @@ def solve_step(system: IcpSystem, extent: Extent, *, damping: float, min_eigenva
     A = recentred(extent.centre)
     A[:, 3:] /= extent.spread_m
     weight = max(system.sum_weights, 1e-12)
-    H, b = A.T @ system.H.cpu() @ A / weight, A.T @ system.b.cpu() / weight
+    H = A.T @ system.H.cpu() @ A / weight
+    b = A.T @ system.b.cpu() / weight
     eigenvalues, directions = torch.linalg.eigh(H)
     known = eigenvalues >= max(min_eigenvalue * float(eigenvalues[-1]), 1e-12)
     damped = eigenvalues + damping * float(eigenvalues.sum())
     y = -directions @ (directions.T @ b).div(damped).where(known, 0.0)
-    return Step(xi=A @ y, length_m=float(y.norm()), eigenvalues=eigenvalues, degenerate=int((~known).sum()))
+    return Step(
+        xi=A @ y,
+        length_m=float(y.norm()),
+        eigenvalues=eigenvalues,
+        degenerate=int((~known).sum()),
+    )
 
 
 ExtraRows = Callable[[Tensor], tuple[Tensor, Tensor]]
@@ -422,7 +436,8 @@ def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
     weight = depth_weight(level.depth_m[rows], even_to_m)
     share = weight / sum_rows(weight).clamp_min(1e-12)
     middle = sum_rows(share[:, None] * points)
-    spread = float(sum_rows(share * (points - middle).square().sum(1)).sqrt())
+    squares = (points - middle).square().sum(1)
+    spread = float(sum_rows(share * squares).sqrt())
     return Extent(centre=middle.double().cpu(), spread_m=max(spread, 1e-3))
 
 

@@ -131,11 +131,16 @@ def landmark_sums(
     arm = rows.xyz_W if centre is None else rows.xyz_W - centre.double().numpy()
     x, y, z = arm.T[:, :, None]
     g_x, g_y, g_z = (J[:, :, k] for k in range(3))
-    for k, turn in enumerate((y * g_z - z * g_y, z * g_x - x * g_z, x * g_y - y * g_x)):
-        J[:, :, 3 + k] = turn  # g . (omega x a) = omega . (a x g)
-    flat, weighted = J.reshape(-1, 6), (robust_weight(e)[:, None, None] * J).reshape(-1, 6)
+    # g . (omega x a) = omega . (a x g)
+    J[:, :, 3] = y * g_z - z * g_y
+    J[:, :, 4] = z * g_x - x * g_z
+    J[:, :, 5] = x * g_y - y * g_x
+    flat = J.reshape(-1, 6)
+    weighted = (robust_weight(e)[:, None, None] * J).reshape(-1, 6)
     return LandmarkSums(
-        H=torch.from_numpy(weighted.T @ flat), b=torch.from_numpy(weighted.T @ e.reshape(-1)), cost=robust_cost(e)
+        H=torch.from_numpy(weighted.T @ flat),
+        b=torch.from_numpy(weighted.T @ e.reshape(-1)),
+        cost=robust_cost(e),
     )
 
 
@@ -150,7 +155,8 @@ def landmark_pose(rows: LandmarkRows, T_WC: Float[Tensor, "4 4"]) -> Float[Tenso
         centre = T_WC[:3, 3]
         sums = landmark_sums(rows, T_WC, centre)
         damping = DAMPING * sums.H.trace().clamp_min(1e-12)
-        xi = -torch.linalg.solve(sums.H + damping * torch.eye(6, dtype=torch.float64), sums.b)
+        damped = sums.H + damping * torch.eye(6, dtype=torch.float64)
+        xi = -torch.linalg.solve(damped, sums.b)
         T_WC = se3.translate(se3.exp(xi) @ se3.translate(T_WC, -centre), centre)
         if float(xi.abs().max()) < SMALLEST_STEP:
             break
@@ -159,7 +165,8 @@ def landmark_pose(rows: LandmarkRows, T_WC: Float[Tensor, "4 4"]) -> Float[Tenso
 
 def robust_cost(e: Float[ndarray, "P 3"]) -> float:
     """Sum of c^2 ln(1 + |e|^2 / c^2) over the rows (Cauchy), c = 2.4 standard deviations."""
-    return CAUCHY**2 * float(np.log1p((e * e).sum(1) / CAUCHY**2).sum())
+    squares = (e * e).sum(1)
+    return CAUCHY**2 * float(np.log1p(squares / CAUCHY**2).sum())
 
 
 def robust_weight(e: Float[ndarray, "P 3"]) -> Float[ndarray, " P"]:
@@ -184,11 +191,17 @@ def point_errors(
         inverse_depth: 1 / measured depth; 0 where there is none.
         sigma_px, sigma_inverse: Standard deviations.
     """
-    c, ahead = camera, y[:, 2] > NEAREST_M
+    c = camera
+    ahead = y[:, 2] > NEAREST_M
     d = 1.0 / np.where(ahead, y[:, 2], 1.0)
-    w, w_d = ahead / sigma_px, np.where(inverse_depth > 0, ahead / sigma_inverse, 0.0)
-    u, v = c.fx * y[:, 0] * d, c.fy * y[:, 1] * d
-    e = np.stack([w * (u + c.cx - uv[:, 0]), w * (v + c.cy - uv[:, 1]), w_d * (d - inverse_depth)], 1)
+    w = ahead / sigma_px
+    w_d = np.where(inverse_depth > 0, ahead / sigma_inverse, 0.0)
+    u = c.fx * y[:, 0] * d
+    v = c.fy * y[:, 1] * d
+    e = np.empty((len(y), 3))
+    e[:, 0] = w * (u + c.cx - uv[:, 0])
+    e[:, 1] = w * (v + c.cy - uv[:, 1])
+    e[:, 2] = w_d * (d - inverse_depth)
     J = np.zeros((len(y), 3, 3))
     J[:, 0, 0] = w * c.fx * d
     J[:, 0, 2] = -w * u * d

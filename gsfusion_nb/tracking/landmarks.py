@@ -82,7 +82,8 @@ class Landmarks:
         landmark, descriptors = self.seen_from(rows)
         xyz_W = self.positions(torch.from_numpy(landmark)).numpy()
         near = found_near(self.database.camera, xyz_W, descriptors, features, T_WC, radius_px)
-        return torch.from_numpy(np.stack([near[:, 0], landmark[near[:, 1]]], 1))
+        row, at = near.T
+        return torch.from_numpy(np.stack([row, landmark[at]], 1))
 
     def add(self, features: Features, pairs: Int[Tensor, "P 2"]) -> None:
         """Process the keyframe last added to ``database``: known landmarks by ``pairs``, new ones for the rest."""
@@ -92,9 +93,12 @@ class Landmarks:
         new = ((of_feature == NO_LANDMARK) & features.has_depth.numpy()).nonzero()[0]
         of_feature[new] = len(self) + np.arange(len(new))
         self.of_feature.append(of_feature)
-        self._birth = np.concatenate([self._birth, np.stack([np.full_like(new, row), new], 1).astype(np.int32)])
-        self._xyz_B = np.concatenate([self._xyz_B, features.xyz_C.numpy()[new].astype(np.float64)])
-        self._views = np.concatenate([self._views, np.zeros((len(new), 2), np.int32)])
+        birth = np.stack([np.full_like(new, row), new], 1).astype(np.int32)
+        xyz_B = features.xyz_C.numpy()[new].astype(np.float64)
+        no_views = np.zeros((len(new), 2), np.int32)
+        self._birth = np.concatenate([self._birth, birth])
+        self._xyz_B = np.concatenate([self._xyz_B, xyz_B])
+        self._views = np.concatenate([self._views, no_views])
 
     def count_views(self, expected: ndarray, found: ndarray) -> None:
         """Count a frame that should have seen the landmarks ``expected`` and found ``found`` of them."""
@@ -110,9 +114,11 @@ class Landmarks:
         """Replace the positions of some landmarks, world frame, with the keyframes' present poses. What is not finite
         is left out."""
         known = torch.isfinite(xyz_W).all(1).numpy()
-        number, at_W = landmark.numpy()[known], xyz_W.double().numpy()[known]
+        number = landmark.numpy()[known]
+        at_W = xyz_W.double().numpy()[known]
         T = self._poses()[self._birth[number, 0]]
-        self._xyz_B[number] = np.einsum("nji,nj->ni", T[:, :3, :3], at_W - T[:, :3, 3])
+        from_camera = at_W - T[:, :3, 3]
+        self._xyz_B[number] = np.einsum("nji,nj->ni", T[:, :3, :3], from_camera)
 
     def fuse(self, same: list[tuple[int, Tensor]]) -> None:
         """Make one landmark, the oldest, of those that loops say are the same: (keyframe, pairs of feature and
@@ -133,7 +139,8 @@ class Landmarks:
         if len(number) == 0:
             return torch.zeros((0, 3), dtype=torch.float64)
         T = self._poses()[self._birth[number, 0]]
-        return torch.from_numpy(np.einsum("nij,nj->ni", T[:, :3, :3], self._xyz_B[number]) + T[:, :3, 3])
+        turned = np.einsum("nij,nj->ni", T[:, :3, :3], self._xyz_B[number])
+        return torch.from_numpy(turned + T[:, :3, 3])
 
     def _poses(self) -> ndarray:
         return torch.stack(self.database.T_WC).numpy()
@@ -153,9 +160,11 @@ class Landmarks:
         """Features of two keyframes that are the same landmark and have depth in b: (feature of a, feature of b)."""
         a, b = self.of_feature[row_a], self.of_feature[row_b]
         common, at_a, at_b = np.intersect1d(a, b, return_indices=True)
-        at_a, at_b = at_a[common >= 0], at_b[common >= 0]
+        at_a = at_a[common >= 0]
+        at_b = at_b[common >= 0]
         with_depth = self.database.features[row_b].has_depth.numpy()[at_b]
-        return torch.from_numpy(np.stack([at_a[with_depth], at_b[with_depth]], 1).astype(np.int64))
+        pairs = np.stack([at_a, at_b], 1)[with_depth]
+        return torch.from_numpy(pairs.astype(np.int64))
 
     def observations(self, *, per_keyframe: int, keyframes: list[int] | None = None) -> Observations:
         """Observations of landmarks that at least two keyframes see, reduced to ``per_keyframe`` of each.
@@ -167,30 +176,36 @@ class Landmarks:
         rows = list(range(len(self.of_feature))) if keyframes is None else keyframes
         views = [self.database.features[r] for r in rows]
         row = np.repeat(np.array(rows, int), [len(f) for f in views])
-        landmark = np.concatenate([np.zeros(0, np.int64), *(self.of_feature[r] for r in rows)]).astype(np.int64)
+        tracks = [self.of_feature[r] for r in rows]
+        landmark = np.concatenate([np.zeros(0, np.int64), *tracks]).astype(np.int64)
         known = (landmark >= 0).nonzero()[0]
         name = landmark[known]
         # One observation per keyframe and landmark; two would be a wrong match.
-        _, first = np.unique(name * (len(self.of_feature) + 1) + row[known], return_index=True)
-        sighting, name = known[first], name[first]
+        by_keyframe = name * (len(self.of_feature) + 1) + row[known]
+        _, first = np.unique(by_keyframe, return_index=True)
+        sighting = known[first]
+        name = name[first]
         length = np.bincount(name, minlength=len(self))[name]
         order = np.lexsort((-length, row[sighting]))
-        start = np.maximum.accumulate(
-            np.where(np.diff(row[sighting][order], prepend=-1) != 0, np.arange(len(order)), 0)
-        )
-        chosen = (np.arange(len(order)) - start < per_keyframe) & (length[order] >= 2)
+        place = np.arange(len(order))
+        begins = np.diff(row[sighting][order], prepend=-1) != 0
+        start = np.maximum.accumulate(np.where(begins, place, 0))
+        chosen = (place - start < per_keyframe) & (length[order] >= 2)
         kept = np.isin(name, name[order][chosen])
-        sighting, name = sighting[kept], name[kept]
+        sighting = sighting[kept]
+        name = name[kept]
         _, born, number = np.unique(name, return_index=True, return_inverse=True)
         at = torch.from_numpy(sighting)
         nothing = torch.zeros((0, 3))
-        xyz_C = torch.cat([nothing, *(f.xyz_C for f in views)])[at].double()
+        xyz_C = torch.cat([nothing, *(f.xyz_C for f in views)])
+        uv = torch.cat([nothing[:, :2], *(f.uv for f in views)])
+        sigma_px = torch.cat([nothing[:, 0], *(f.sigma_px for f in views)])
         return Observations(
             keyframe=torch.from_numpy(row[sighting].astype(np.int64)),
             landmark=torch.from_numpy(number.astype(np.int64)),
-            uv=torch.cat([nothing[:, :2], *(f.uv for f in views)])[at].double(),
-            depth_m=xyz_C[:, 2],
-            sigma_px=torch.cat([nothing[:, 0], *(f.sigma_px for f in views)])[at].double(),
+            uv=uv[at].double(),
+            depth_m=xyz_C[at, 2].double(),
+            sigma_px=sigma_px[at].double(),
             xyz_W=self.positions(torch.from_numpy(name[born])),
             name=torch.from_numpy(name[born]),
         )
@@ -227,8 +242,11 @@ class Landmarks:
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components
 
-        pairs = [np.stack([self.of_feature[row][p[:, 0].numpy()], p[:, 1].numpy()], 1) for row, p in same]
-        joined = np.concatenate([np.zeros((0, 2), np.int32), *pairs])
+        pairs = [np.zeros((0, 2), np.int32)]
+        for row, of_loop in same:
+            feature, landmark = of_loop.numpy().T
+            pairs.append(np.stack([self.of_feature[row][feature], landmark], 1))
+        joined = np.concatenate(pairs)
         joined = joined[(joined >= 0).all(1)]
         links = coo_matrix((np.ones(len(joined)), joined.T), shape=(len(self), len(self)))
         return connected_components(links, directed=False)[1].astype(np.int64)

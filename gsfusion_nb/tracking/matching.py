@@ -67,12 +67,15 @@ def match_features(query: Features, reference: Features) -> Int[Tensor, "P 2"]:
         return nothing
     a, b = query.descriptors.numpy(), reference.descriptors.numpy()
     distance, nearest = _nearest(a, b, 2)
-    clear = (distance[:, 0] <= MAX_HAMMING) & (distance[:, 0] < RATIO * distance[:, 1])
-    rows, best = clear.nonzero()[0], nearest[clear, 0]
+    first, second = distance.T
+    clear = (first <= MAX_HAMMING) & (first < RATIO * second)
+    rows = clear.nonzero()[0]
+    best = nearest[clear, 0]
     if len(rows) == 0:
         return nothing
     mutual = _nearest(b[best], a, 1)[1][:, 0] == rows
-    return torch.from_numpy(np.stack([rows[mutual], best[mutual]], 1).astype(np.int64))
+    pairs = np.stack([rows, best], 1)[mutual]
+    return torch.from_numpy(pairs.astype(np.int64))
 
 
 def _nearest(a: ndarray, b: ndarray, k: int) -> tuple[ndarray, ndarray]:
@@ -111,13 +114,14 @@ def rows_of(camera: Camera, query: Features, reference: Features, pairs: Int[Ten
         pairs: (query row, reference row); the reference rows must have depth. [P, 2]
     """
     q, r = pairs.T
-    sigma_px = (query.sigma_px[q].square() + reference.sigma_px[r].square()).sqrt()
+    variance = query.sigma_px[q].square() + reference.sigma_px[r].square()
+    depth_m = query.xyz_C[q, 2].double() * query.has_depth[q]
     return LandmarkRows(
         camera=camera,
         xyz_W=reference.xyz_C[r].double().numpy(),
         uv=query.uv[q].double().numpy(),
-        inverse_depth=inverse_or_zero((query.xyz_C[q, 2].double() * query.has_depth[q]).numpy()),
-        sigma_px=sigma_px.double().numpy(),
+        inverse_depth=inverse_or_zero(depth_m.numpy()),
+        sigma_px=variance.sqrt().double().numpy(),
     )
 
 
@@ -221,16 +225,19 @@ def in_view(
     T = T_WC.detach().cpu().double().numpy()
     xyz_C = (xyz_W - T[:3, 3]) @ T[:3, :3]
     z = np.maximum(xyz_C[:, 2], 1e-6)
-    uv = np.stack([camera.fx * xyz_C[:, 0] / z + camera.cx, camera.fy * xyz_C[:, 1] / z + camera.cy], 1)
-    size = np.array([camera.width, camera.height])
-    return uv, (xyz_C[:, 2] > SEARCHED_FROM_M) & (np.abs(uv - size / 2) <= size / 2 + margin_px).all(1)
+    u = camera.fx * xyz_C[:, 0] / z + camera.cx
+    v = camera.fy * xyz_C[:, 1] / z + camera.cy
+    uv = np.stack([u, v], 1)
+    half = np.array([camera.width, camera.height]) / 2
+    in_picture = (np.abs(uv - half) <= half + margin_px).all(1)
+    return uv, in_picture & (xyz_C[:, 2] > SEARCHED_FROM_M)
 
 
 def hamming(a: ndarray, b: ndarray) -> Int[ndarray, " N"]:
     """Number of bits in which rows of bytes differ."""
-    return _BIT_COUNT[np.ascontiguousarray(a).view(np.uint16) ^ np.ascontiguousarray(b).view(np.uint16)].sum(
-        1, dtype=np.int32
-    )
+    words_a = np.ascontiguousarray(a).view(np.uint16)
+    words_b = np.ascontiguousarray(b).view(np.uint16)
+    return _BIT_COUNT[words_a ^ words_b].sum(1, dtype=np.int32)
 
 
 def _clear_and_mutual(a: ndarray, b: ndarray, distance: ndarray) -> ndarray:

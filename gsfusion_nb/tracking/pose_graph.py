@@ -113,24 +113,39 @@ def fit_odometry(edges: list[Edge]) -> list[Edge]:
     ``MIN_STEPS`` such steps, nothing changes.
     """
     steps = {e.j: e for e in edges if e.kind == "odometry"}
-    both = [(steps[e.j], e) for e in edges if e.kind == "landmarks" and e.j in steps and e.i == steps[e.j].i]
+    both = []
+    for e in edges:
+        step = steps.get(e.j)
+        if e.kind == "landmarks" and step is not None and e.i == step.i:
+            both.append((step, e))
     if len(both) < MIN_STEPS:
         return edges
     d2 = torch.stack([_difference(a.T_ij, b.T_ij) for a, b in both]).square()
-    s2 = torch.stack([torch.linalg.inv(b.information).diagonal() for _, b in both])
-    given = torch.stack([torch.linalg.inv(a.information).diagonal() for a, _ in both]).amax(0)
-    floor = torch.linalg.inv(odometry_information(*ODOMETRY_FLOOR)).diagonal()
-    fitted = torch.cat([(d2[:, k].median() / 0.455 - s2[:, k].median()).expand(3) for k in _HALVES])
+    s2 = torch.stack([_variances(b.information) for _, b in both])
+    given = torch.stack([_variances(a.information) for a, _ in both]).amax(0)
+    floor = _variances(odometry_information(*ODOMETRY_FLOOR))
+    halves = [d2[:, k].median() / 0.455 - s2[:, k].median() for k in _HALVES]
+    fitted = torch.cat([half.expand(3) for half in halves])
     fitted = fitted.maximum(floor).minimum(given)
     off = (d2 / (fitted + s2)).sum(1).sqrt()
     slips = {a.j for (a, _), k in zip(both, off.tolist(), strict=True) if k > SLIPPED}
     information = torch.diag(HELD_BY_MAP / fitted)
-    return [replace(e, information=information) if e.kind == "odometry" and e.j not in slips else e for e in edges]
+    fitted_edges = []
+    for e in edges:
+        held = e.kind == "odometry" and e.j not in slips
+        fitted_edges.append(replace(e, information=information) if held else e)
+    return fitted_edges
+
+
+def _variances(information: Float[Tensor, "6 6"]) -> Float[Tensor, " 6"]:
+    """Variance of each component of a measurement."""
+    return torch.linalg.inv(information).diagonal()
 
 
 def edge_error(edge: Edge, T_WC: Float[Tensor, "K 4 4"]) -> float:
     """Length of the edge's error at these poses, in standard deviations: sqrt(xi^T information xi)."""
-    xi = _difference(edge.T_ij, se3.inverse(T_WC[edge.i]) @ T_WC[edge.j])
+    T_ij = se3.inverse(T_WC[edge.i]) @ T_WC[edge.j]
+    xi = _difference(edge.T_ij, T_ij)
     return float((xi @ edge.information @ xi).clamp_min(0).sqrt())
 
 
@@ -267,7 +282,8 @@ class EdgeTerms:
         d = self._deviations(e)
         huber = (TRACK_HUBER / d.clamp_min(1e-12)).clamp_max(1.0)
         cauchy = 1 / (1 + (d / LOOP_CAUCHY) ** 2)
-        return torch.where(self.is_loop & robust, cauchy, huber)[:, None, None] * self.information
+        weight = torch.where(self.is_loop & robust, cauchy, huber)
+        return weight[:, None, None] * self.information
 
     def _deviations(self, e: Tensor) -> Tensor:
         return torch.einsum("ea,eab,eb->e", e, self.information, e).clamp_min(0).sqrt()
@@ -279,7 +295,8 @@ def _descend(graph: EdgeTerms, T_WC: Tensor, iterations: int, *, robust: bool) -
     error = graph.robust_error(e, robust)
     for _ in range(iterations):
         proposed = pose_graph_step(T_WC, graph.i, graph.j, e, J_i, J_j, graph.weighted(e, robust))
-        xi, share = se3.log(se3.inverse(T_WC) @ proposed), 1.0
+        xi = se3.log(se3.inverse(T_WC) @ proposed)
+        share = 1.0
         there = graph.errors(proposed)
         after = graph.robust_error(there[0], robust)
         while after > error and share > 0.5**HALVINGS:
@@ -289,7 +306,10 @@ def _descend(graph: EdgeTerms, T_WC: Tensor, iterations: int, *, robust: bool) -
             after = graph.robust_error(there[0], robust)
         if after > error:
             break
-        T_WC, (e, J_i, J_j), fell, error = proposed, there, error - after, after
+        fell = error - after
+        T_WC = proposed
+        e, J_i, J_j = there
+        error = after
         if fell <= GRAPH_LEAST_FALL * error:
             break
     return T_WC, error

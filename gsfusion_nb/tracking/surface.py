@@ -89,12 +89,16 @@ def reduce_depth(depth_m: Float[Tensor, "H W"], factor: int) -> Float[Tensor, "h
         return depth_m
     H, W = depth_m.shape
     h, w = -(-H // factor), -(-W // factor)
-    padded = torch.nn.functional.pad(depth_m, (0, w * factor - W, 0, h * factor - H))
-    block = padded.view(h, factor, w, factor).transpose(1, 2).reshape(h, w, factor * factor)
+    to_right = w * factor - W
+    to_bottom = h * factor - H
+    padded = torch.nn.functional.pad(depth_m, (0, to_right, 0, to_bottom))
+    rows_and_columns = padded.view(h, factor, w, factor)
+    block = rows_and_columns.transpose(1, 2).reshape(h, w, factor * factor)
     known = block > 0
     median = block.masked_fill(~known, float("nan")).nanmedian(-1, keepdim=True).values
     same = known & ((block - median).abs() <= BLOCK_JUMP * median)
-    inverse = (1.0 / block.clamp_min(1e-6)).where(same, 0.0).sum(-1) / same.sum(-1).clamp_min(1)
+    inverses = (1.0 / block.clamp_min(1e-6)).where(same, 0.0)
+    inverse = inverses.sum(-1) / same.sum(-1).clamp_min(1)
     enough = 2 * known.sum(-1) >= factor * factor
     return (1.0 / inverse.clamp_min(1e-6)).where(enough, 0.0)
 

@@ -186,7 +186,8 @@ def _triangles(volume: TsdfVolume, rows: Int[Tensor, " B"], min_weight: float) -
     The number of an edge is 3 x (position of its lower voxel in the flattened pool) + axis.
     """
     corner = _cube_corners(volume, rows)
-    D, weight = volume.D.view(-1)[corner], volume.W.view(-1)[corner]
+    D = volume.D.view(-1)[corner]
+    weight = volume.W.view(-1)[corner]
     usable = ((corner >= 0) & (weight > 0) & (weight >= min_weight)).all(1)
     bit = 2 ** torch.arange(8, device=volume.device)
     case = ((D < 0) * bit).sum(1) * usable  # (1); a cube of case 0 has no triangles

@@ -108,7 +108,8 @@ def _surface_depths(volume: TsdfVolume, T_WC: Float[Tensor, "4 4"], ray_W: Float
         r = ray_W[ray]
         point_W = origin_W + z[:, None] * r
         D, allocated = _distance_at(volume, point_W)
-        enters, leaves = (D_before >= 0) & (D < 0), (D_before < 0) & (D >= 0)
+        enters = (D_before >= 0) & (D < 0)
+        leaves = (D_before < 0) & (D >= 0)
         bracket = [t[enters] for t in (z_before, z, D_before, D)]
         depth[ray[enters]] = _zero_crossing(volume, origin_W, r[enters], bracket)
         free_m = (STEP * truncation_m * D.abs()).nan_to_num(0.0).clamp(min=voxel_m)

@@ -91,7 +91,7 @@ def _residuals(recording: Recording, nth: int) -> np.ndarray:
 
 
 def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
-    moved, falls = recording.at("xyz = se3.apply(T, depth_to_points")[0], recording.at("row, column = v.where")[0]
+    moved, falls = recording.at("xyz = se3.apply(T, depth_to_points")[0], recording.at("column = u.where")[0]
     partner, gate = recording.at("surface_normal = surface.normal_W")[0], recording.at("inlier = overlap &")[0]
     r_line, J_line = recording.at("r = ((xyz - surface_xyz)")[0], recording.at("J = torch.cat([surface_normal")[0]
     p, q, n = moved["xyz"][at], partner["surface_xyz"][at], partner["surface_normal"][at]
@@ -246,7 +246,7 @@ def _errors(recording: Recording, edges: list[Edge]) -> list[Step]:
     inside = [line for line in recording[:at] if line.function == "relative_pose_error"]
     error = [line for line in inside if line.text.startswith("e = se3.log")][-1]
     slope = [line for line in inside if line.text.startswith("J = torch.eye")][-1]
-    weights = _first(recording, "return torch.where(self.is_loop & robust, cauchy, huber)[:, None")
+    weights = _first(recording, "return weight[:, None, None] * self.information")
     steps = []
     for k, edge in enumerate(edges):
         e = error["e"][k]

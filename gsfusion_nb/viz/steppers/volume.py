@@ -99,7 +99,7 @@ def marching_cubes_stepper(volume: TsdfVolume, start: Voxel | None = None, *, ce
     start = start or row_of_cells(volume, cells)
     small = cut_out(volume, start, cells)
     recording = record(lambda: extract_mesh(small), CELL_WATCH)
-    corner = recording.at("D, weight = volume.D")[0]["corner"]
+    corner = recording.at("weight = volume.W.view(-1)")[0]["corner"]
     first = small.find_voxels(torch.tensor([[start[0] + k, *start[1:]] for k in range(cells)]).to(small.device))
     rows = [int((corner[:, 0] == at).nonzero()[0]) for at in first]
     steps: list[Step] = []
@@ -114,7 +114,8 @@ def marching_cubes_stepper(volume: TsdfVolume, start: Voxel | None = None, *, ce
 
 
 def _of_cell(recording: Recording, row: int, k: int, scene: dict[str, Any], cells: int) -> list[Step]:
-    values, usable = recording.at("D, weight = volume.D")[0], recording.at("usable = ((corner")[0]
+    values = recording.at("weight = volume.W.view(-1)")[0]
+    usable = recording.at("usable = ((corner")[0]
     cased, listed = recording.at("case = ((D <")[0], recording.at("cube, nth = ")[0]
     edged = recording.at("axis, lower = ")[0]
     D, case = values["D"][row], int(cased["case"][row])
@@ -245,7 +246,7 @@ def _march(recording: Recording) -> list[Step]:
     steps, z_met, D_met = [], [], []
     looks = [line for line in recording if line.function == "_distance_at" and "return" in line.values]
     samples = recording.at("D, allocated = _distance_at")
-    turns = recording.at("enters, leaves = ")
+    turns = recording.at("leaves = ")
     advances = recording.at("step = torch.where")
     for look, sample, turn, advance in zip(looks, samples, turns, advances, strict=True):
         z, D = float(sample["z"]), float(sample["D"])

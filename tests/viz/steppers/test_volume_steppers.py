@@ -46,7 +46,7 @@ def test_raycast_ends_at_the_depth_of_the_pixel(volume, frame, press):
     steps = press(stepper)
     assert float(steps[-1][1]["depth z"].removesuffix(" m")) == pytest.approx(float(depth_m[v, u]), abs=1e-5)
     change = find(stepper, "D changes from + to −")
-    assert stepper.steps[change].line.text.startswith("enters, leaves =")
+    assert stepper.steps[change].line.text.startswith("leaves =")
     last = stepper.steps[change].scene["D_met"]
     assert last[-2] >= 0 > last[-1]
     with pytest.raises(ValueError, match="outside"):
