@@ -81,3 +81,16 @@ def test_another_recording_of_the_same_name(scan, terminal, tmp_path):
     with pytest.raises(SequenceError, match="converted/scan is another recording"):
         mappable(str(other))
     np.testing.assert_equal((tmp_path / "converted/scan/poses.txt").exists(), False)
+
+
+@pytest.mark.parametrize(("name", "says"), [("a.svo2", "ZED_SVO_Export"), ("mav0/cam0/data.csv", "without depth")])
+def test_a_program_whose_recordings_are_not_read_is_named(tmp_path, monkeypatch, name, says):
+    """Also by map and check, and not as a folder of no known layout."""
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "scan" / name
+    file.parent.mkdir(parents=True)
+    file.write_bytes(bytes(64))
+    source = file if file.suffix == ".svo2" else tmp_path / "scan"
+    with pytest.raises(SequenceError, match=says):
+        mappable(str(source))
+    assert not (tmp_path / "converted").exists()
