@@ -11,8 +11,8 @@ _BY_NAME = {"globals", "eval", "exec", "vars", "locals"}
 _ANYWHERE = {"_getframe", "_current_frames", "currentframe", "__globals__", "f_globals", "f_locals", "get_objects"}
 """Attributes by which a program reaches names of other modules, or all objects of the process."""
 _MAKE_SETS = {"BUILD_SET", "SET_ADD", "SET_UPDATE"}
-_OF_SETS = {"&", "|", "^"}
-"""Operators that also make sets, as of ``a.keys() & b.keys()``."""
+_OF_VIEWS = {"&", "|", "^", "-"}
+"""Operators that make sets of the views of a dict: ``a.keys() & b.keys()``."""
 _OF_SYS = {"modules", "argv", "orig_argv"}
 
 
@@ -59,12 +59,17 @@ def imported_inside(f: types.FunctionType) -> set[str]:
 def walks_sets(code: types.CodeType) -> bool:
     """Whether code makes a set, or asks for hashes: what it does may depend on the order of texts in a set, which
     differs from process to process."""
-    return any(
-        {"set", "frozenset", "hash"} & set(part.co_names)
-        or any(isinstance(constant, frozenset) for constant in part.co_consts)
-        or any(i.opname in _MAKE_SETS or i.argrepr in _OF_SETS for i in dis.get_instructions(part))
-        for part in parts_of(code)
-    )
+    for part in parts_of(code):
+        names = set(part.co_names)
+        makes = {i.opname for i in dis.get_instructions(part)}
+        operators = {i.argrepr.rstrip("=") for i in dis.get_instructions(part) if i.opname == "BINARY_OP"}
+        if {"set", "frozenset", "hash"} & names or _MAKE_SETS & makes:
+            return True
+        if {"keys", "items"} & names and _OF_VIEWS & operators:
+            return True
+        if any(isinstance(constant, frozenset) for constant in part.co_consts):
+            return True
+    return False
 
 
 def looks_up(f: types.FunctionType, *, in_a_module: bool) -> str:

@@ -246,9 +246,9 @@ class ValueHash:
         elif isinstance(x, functools._lru_cache_wrapper):
             self._text(repr(x.cache_parameters()))
             self.add(x.__wrapped__)
-        elif isinstance(getattr(x, "py_func", None), types.FunctionType):  # numba compiles it
+        elif isinstance(compiled := getattr(x, "py_func", None), types.FunctionType):  # by numba
             self._text(repr(sorted(getattr(x, "targetoptions", {}).items())))
-            self.add(x.py_func)
+            self.add(compiled)
         elif isinstance(x, io.IOBase):
             self._give_up(x, "it is open")
         elif isinstance(x, types.MappingProxyType):
