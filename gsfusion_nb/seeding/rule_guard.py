@@ -89,7 +89,7 @@ class _Watch:
         elif event == "sqlite3.connect" or (event == "ctypes.dlopen" and arguments[0]):
             self._opened(arguments[0], "r", 0)
         elif event == "os.mkdir":
-            self.written.add(os.path.abspath(os.fsdecode(arguments[0])))
+            self._makes_folder(arguments[0])
         elif event in _CHANGES and _caller() == "" and not _is_only_a_name():
             self._changed(arguments[0])
         elif event == "builtins.input":
@@ -134,6 +134,11 @@ class _Watch:
             self._refuse(
                 f"reads {path}, which none of its options names", f'declare it: weights: Path = Path("{path}")'
             )
+
+    def _makes_folder(self, folder: Any) -> None:
+        path = os.path.abspath(os.fsdecode(folder))
+        if not os.path.exists(path):
+            self.written.add(path)
 
     def _changed(self, file: Any) -> None:
         path = None if isinstance(file, int) else os.path.abspath(os.fsdecode(file))
@@ -293,21 +298,20 @@ def _calls_watched(watch: _Watch) -> Iterator[None]:
     def tell_of_thread(_: Any) -> None:
         watch.thread()
 
-    read = kind.__getitem__
-
     def tell_of_variable(environ: Any, name: Any) -> Any:
         if _watch() is watch:
             watch.environment(os.fsdecode(name))
         return read(environ, name)
 
-    replaced: list[tuple[Any, str, Any]] = [(kind, "__getitem__", tell_of_variable)]
-    replaced += [(os, name, told(getattr(os, name), watch.asked)) for name in _ASKS]
-    starts = ((threading.Thread, "start"), (_thread, "start_new_thread"))
-    replaced += [(owner, name, told(getattr(owner, name), tell_of_thread)) for owner, name in starts]
-    for module, name in _COMPILED_READERS:
-        if (owner := sys.modules.get(module)) is not None:
-            replaced.append((owner, name, told(getattr(owner, name), watch.compiled)))
     with _patching:
+        read = kind.__getitem__
+        replaced: list[tuple[Any, str, Any]] = [(kind, "__getitem__", tell_of_variable)]
+        replaced += [(os, name, told(getattr(os, name), watch.asked)) for name in _ASKS]
+        starts = ((threading.Thread, "start"), (_thread, "start_new_thread"))
+        replaced += [(owner, name, told(getattr(owner, name), tell_of_thread)) for owner, name in starts]
+        for module, name in _COMPILED_READERS:
+            if (owner := sys.modules.get(module)) is not None:
+                replaced.append((owner, name, told(getattr(owner, name), watch.compiled)))
         before = [(owner, name, getattr(owner, name)) for owner, name, _ in replaced]
         for owner, name, value in replaced:
             setattr(owner, name, value)

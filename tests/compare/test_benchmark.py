@@ -33,7 +33,8 @@ def test_scenes_are_found_by_their_files(replica):
     assert list(scenes_in(replica, "replica")) == ["mine", "office1", "room0"]
     assert list(scenes_in(replica.parent, "replica")) == ["data-mine", "data-office1", "data-room0"]
     assert scenes_in(replica / "room0", "replica") == {"room0": replica / "room0"}
-    Box().replica(replica / "room0/copies/earlier")  # what lies inside a scene is no other scene
+    Box().replica(replica / "room0/earlier")  # what lies inside a scene is no other scene
+    Box().replica(replica / "a/b/c/too_deep")
     assert list(scenes_in(replica, "replica")) == ["mine", "office1", "room0"]
     with pytest.raises(FileNotFoundError, match=r"no scene in the layout tum; expected a folder with rgb\.txt"):
         scenes_in(replica, "tum")

@@ -71,6 +71,12 @@ def forked(folder):
     os.waitpid(process, 0)
 
 
+def made_again(folder):
+    with contextlib.suppress(FileExistsError):
+        os.mkdir(folder)
+    (folder / "text").read_text()
+
+
 def expanded(folder):
     assert os.path.expandvars("$PATH") != "$PATH"
 
@@ -84,6 +90,7 @@ READS = {
     "np.fromfile": (lambda folder: np.fromfile(folder / "text", dtype=np.uint8), "text"),
     "np.memmap": (lambda folder: np.memmap(folder / "text", mode="r").sum(), "text"),
     "torch.load": (lambda folder: torch.load(folder / "weights.pt", weights_only=True), "weights.pt"),
+    "a folder that was there": (made_again, "text"),
     "sqlite3": (database, "table.db"),
     "an error that it catches": (caught, "text"),
     "os.listdir": (os.listdir, "lists"),
