@@ -1,7 +1,7 @@
 """Numbers in the docs: measured by commands, kept in ``docs/measured/*.json``, filled into the pages from there.
 
     python tools/measured.py                 # list the tables that are out of date; needs git
-    python tools/measured.py --renew NAME    # run a table's commands, write its JSON, fill the pages
+    python tools/measured.py --renew NAME    # run a table's commands, fill the pages
     python tools/measured.py --fill          # fill the pages from the JSON files
 
 A table is out of date where something that it depends on has changed since it was measured.

@@ -17,7 +17,7 @@ Keys of ``intrinsics.json``: those seven, and optionally
 
 | key | default | meaning |
 |---|---|---|
-| ``pixel_centre`` | 0.0 | centre of the first pixel: 0.0 as in OpenCV, Open3D, ROS; 0.5 as in COLMAP |
+| ``pixel_centre`` | 0.0 | centre of the first pixel: 0.0 (OpenCV, Open3D, ROS) or 0.5 (COLMAP) |
 | ``depth_invalid`` | 0 | a stored depth that means "missing", besides 0 |
 | ``fps`` | 30 | frames per second, for the time stamps where there is no times.txt |
 | ``pose_convention`` | "camera-to-world" | must begin with that; any comment may follow |
