@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ class Kind:
     make: Callable[..., Path]
     says: str = ""
     """Pattern in the notes, or in the error where it is refused."""
-    given: dict = field(default_factory=dict)
+    given: dict[str, Any] = field(default_factory=dict)
     """Options; the camera is given where the kind has none."""
     camera: bool = True
     """The kind tells the camera."""
@@ -104,9 +105,11 @@ def test_the_table_of_the_documentation_has_these_kinds():
 def test_what_is_read(tmp_path, takes, name):
     kind = READ[name]
     c = takes.camera
-    camera = {} if kind.camera else {"intrinsics": f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}"}
+    given = dict(kind.given)
+    if not kind.camera:
+        given["intrinsics"] = f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}"
     source = kind.make(tmp_path / "scan", takes)
-    report = convert(source, tmp_path / "out", options=ConvertOptions(**kind.given, **camera))
+    report = convert(source, tmp_path / "out", options=ConvertOptions(**given))
     assert re.search(kind.says, "; ".join(report.notes)), report.notes
     assert report.has_poses == (kind.given != WITHOUT_POSES)
     sequence = folder(tmp_path / "out", poses=report.has_poses)
