@@ -22,14 +22,14 @@ import itertools
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import op, piece
 from ..checks import check_number
 from ..types import Mesh
 from ..work import MAP_MEMORY, return_free_memory
-from .block_pool import VOXELS_PER_BLOCK
+from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from .volume import CORNERS, VOXELS, TsdfVolume, check_volume
 
 EDGES = tuple((axis, corner) for axis in range(3) for corner in range(8) if not corner >> axis & 1)
@@ -107,6 +107,7 @@ def _triangulations(polygon: Loop) -> list[list[Triangle]]:
     return found
 
 
+@functools.cache
 def _diagonals_in_faces(triangle: Triangle) -> int:
     """Sides of a triangle that lie in a face. The loop's own sides all do, so only the diagonals make a difference."""
     sides = itertools.combinations(triangle, 2)
@@ -201,18 +202,34 @@ def _triangles(volume: TsdfVolume, rows: Int[Tensor, " B"], min_weight: float) -
 
 
 def _cube_corners(volume: TsdfVolume, rows: Int[Tensor, " B"]) -> Int[Tensor, "C 8"]:
-    """Position in the flattened pool of the eight corners of each cube, -1 where not allocated.
+    """Position in the flattened pool of the eight corners of each cube that may be cut, -1 where not allocated.
 
     They lie in the block of the lowest corner or in one of its seven upper neighbours.
     """
     device = volume.device
     coords = volume.block_coords[rows, None] + CORNERS.to(device)
     neighbour = volume.index.find(coords.view(-1, 3)).view(-1, 8)
+    block, cube = _mixed(volume.D, neighbour).nonzero().unbind(1)
     xyz = (VOXELS[:, None] + CORNERS).to(device)  # 0..8, in voxels from the corner of the block  [512, 8, 3]
     which = (xyz >> 3) @ xyz.new_tensor([1, 2, 4])
     number = (xyz & 7) @ xyz.new_tensor([64, 8, 1])
-    row = neighbour[:, which]
-    return torch.where(row < 0, -1, row * VOXELS_PER_BLOCK + number).view(-1, 8)
+    row = neighbour[block[:, None], which[cube]]
+    return torch.where(row < 0, -1, row * VOXELS_PER_BLOCK + number[cube])
+
+
+def _mixed(D: Float[Tensor, "N 512"], neighbour: Int[Tensor, "B 8"]) -> Bool[Tensor, "B 512"]:
+    """Cubes with corners inside and outside; what is not allocated counts as outside."""
+    n, side = len(neighbour), BLOCK_VOXELS
+    inside = torch.zeros(n, side + 1, side + 1, side + 1, dtype=torch.uint8, device=D.device)
+    grid = D.view(len(D), side, side, side)
+    for row, corner in zip(neighbour.unbind(1), CORNERS.tolist(), strict=True):
+        first = tuple(slice(0, 1) if upper else slice(None) for upper in corner)
+        place = tuple(slice(side, None) if upper else slice(0, side) for upper in corner)
+        found = (row >= 0).nonzero()[:, 0]
+        inside[(found, *place)] = (grid[(slice(None), *first)][row[found]] < 0).byte()
+    corners = [inside[(slice(None), *(slice(k, k + side) for k in corner))] for corner in CORNERS.tolist()]
+    count = torch.stack(corners).sum(0, dtype=torch.uint8).view(n, VOXELS_PER_BLOCK)
+    return (count > 0) & (count < len(corners))
 
 
 def _vertices(volume: TsdfVolume, edges: Int[Tensor, " V"]) -> tuple[Float[Tensor, "V 3"], Float[Tensor, "V 3"]]:
