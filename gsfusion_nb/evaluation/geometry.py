@@ -5,7 +5,8 @@ would hide a systematic shift. Distances are stored in metres and printed in cen
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -19,6 +20,9 @@ from ..work import MAP_MEMORY
 from .image import psnr
 from .metrics import NotComputed
 
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
 NEIGHBOURS = 8
 """Number of nearby points whose triangles are tested for the nearest surface point; 8 covers the triangles around a
 typical vertex."""
@@ -28,6 +32,10 @@ BEHIND_M = 0.05
 """How far behind the measured depth a point still counts as seen, metres."""
 FACES_AT_A_TIME, SAMPLES_AT_A_TIME = 1 << 20, 1 << 20
 """Limit the memory for intermediate results."""
+POINTS_AT_A_TIME = 2_000
+"""Of those whose distances to triangles are found together: the intermediate results stay in the cache."""
+CELL_M = 0.1
+"""Points are looked up by cells of this size, metres."""
 NEAR_M = 0.02
 """A view shows a vertex if its measured depth there differs by less than this, metres."""
 
@@ -280,16 +288,34 @@ def point_triangle_distance(xyz: Float[Tensor, "*N 3"], triangle: Float[Tensor, 
     """
     a, b, c = triangle.unbind(-2)
     normal = torch.linalg.cross(b - a, c - a)
-    squared = torch.full_like(xyz[..., 0], math.inf)
-    inside = (normal * normal).sum(-1) > 0
-    for p, q in ((a, b), (b, c), (c, a)):
-        edge = q - p
-        along = ((xyz - p) * edge).sum(-1) / (edge * edge).sum(-1).clamp_min(1e-300)
-        foot = p + along.clamp(0, 1)[..., None] * edge
-        squared = torch.minimum(squared, (xyz - foot).square().sum(-1))
-        inside = inside & ((torch.linalg.cross(edge, xyz - p) * normal).sum(-1) >= 0)
-    height = ((xyz - a) * normal).sum(-1).abs() / normal.norm(dim=-1).clamp_min(1e-300)
+    x, n = xyz.unbind(-1), normal.unbind(-1)
+    corners = [corner.unbind(-1) for corner in (a, b, c)]
+    squared = torch.full_like(x[0], math.inf)
+    inside = _dot(n, n) > 0
+    for p, q in zip(corners, corners[1:] + corners[:1], strict=True):
+        edge, way = _difference(q, p), _difference(x, p)
+        along = (_dot(way, edge) / _dot(edge, edge).clamp_min(1e-300)).clamp(0, 1)
+        off = _difference(x, [start + along * step for start, step in zip(p, edge, strict=True)])
+        squared = torch.minimum(squared, _dot(off, off))
+        inside = inside & (_dot(_cross(edge, way), n) >= 0)
+    height = _dot(_difference(x, corners[0]), n).abs() / normal.norm(dim=-1).clamp_min(1e-300)
     return torch.where(inside, height, squared.sqrt())
+
+
+Vectors = Sequence[Float[Tensor, "*N"]]
+"""Vectors by component, which torch takes in whole registers; of rows of three it takes one number at a time."""
+
+
+def _difference(a: Vectors, b: Vectors) -> Vectors:
+    return [p - q for p, q in zip(a, b, strict=True)]
+
+
+def _dot(a: Vectors, b: Vectors) -> Float[Tensor, "*N"]:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vectors, b: Vectors) -> Vectors:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def _corners(mesh: Mesh, faces: Int[Tensor, " M"] | slice = slice(None)) -> Float[Tensor, "M 3 3"]:
@@ -314,9 +340,27 @@ def _areas(mesh: Mesh) -> Float[Tensor, " F"]:
 
 def _to_nearest(xyz: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Float[Tensor, " N"]:
     """Distance from each point to the nearest of ``points``, on the CPU."""
+    xyz = xyz.cpu()
+    order = _by_place(xyz)
+    distance = torch.empty(len(xyz), dtype=torch.float64)
+    distance[order] = torch.from_numpy(_tree(points.cpu()).query(xyz[order].numpy())[0])
+    return distance
+
+
+def _tree(points: Float[Tensor, "M 3"]) -> "KDTree":
+    """A search tree whose cells are halved in the middle: made in less than half the time, searched as fast."""
     from scipy.spatial import KDTree
 
-    return torch.from_numpy(KDTree(points.cpu().numpy()).query(xyz.cpu().numpy())[0])
+    return KDTree(points.numpy(), balanced_tree=False, compact_nodes=False)
+
+
+def _by_place(xyz: Float[Tensor, "N 3"]) -> Int[Tensor, " N"]:
+    """An order of points in which neighbours are near each other: a tree is searched three times as fast in it."""
+    if not len(xyz):
+        return torch.zeros(0, dtype=torch.int64)
+    cell = ((xyz - xyz.amin(0)) / CELL_M).long()
+    n_cells = cell.amax(0) + 1
+    return ((cell[:, 0] * n_cells[1] + cell[:, 1]) * n_cells[2] + cell[:, 2]).argsort()
 
 
 def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> dict[str, float]:
@@ -333,8 +377,6 @@ def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> dict[str, 
 
 def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor:
     """Distance of each point to ``mesh``, found through its ``samples`` and centroids, some faces after others."""
-    from scipy.spatial import KDTree
-
     xyz, points, of_face = xyz.cpu(), samples[0].cpu(), samples[1].cpu()
     nearest = _to_nearest(xyz, points)  # not more than this
     for start in range(0, len(mesh.faces), FACES_AT_A_TIME):
@@ -345,14 +387,16 @@ def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor
         extent = float((corners - middle[:, None]).norm(dim=2).max())
         here = (of_face >= start) & (of_face < start + len(corners))
         # samples represent large triangles, centroids those too small to have a sample
-        tree = KDTree(torch.cat([points[here], middle]).numpy())
+        tree = _tree(torch.cat([points[here], middle]))
         faces = torch.cat([of_face[here] - start, torch.arange(len(corners)), torch.zeros(1, dtype=torch.int64)])
         k = min(NEIGHBOURS, tree.n)
         for rows in near.split(20_000):
+            rows = rows[_by_place(xyz[rows])]
             bound = 1.001 * (float(nearest[rows].max()) + extent)  # a face whose middle is beyond is not nearer
             index = tree.query(xyz[rows].numpy(), k=k, distance_upper_bound=bound)[1]  # tree.n if there are fewer
             candidates = faces[torch.from_numpy(index).reshape(len(rows), k)]
-            found = point_triangle_distance(xyz[rows, None].expand(-1, k, 3), corners[candidates]).amin(1)
-            nearest[rows] = torch.minimum(nearest[rows], found)
+            for some, tried in zip(rows.split(POINTS_AT_A_TIME), candidates.split(POINTS_AT_A_TIME), strict=True):
+                found = point_triangle_distance(xyz[some, None].expand(-1, k, 3), corners[tried]).amin(1)
+                nearest[some] = torch.minimum(nearest[some], found)
         MAP_MEMORY.give_back()
     return nearest
