@@ -19,6 +19,10 @@ from ..geometry import sum_rows
 from ..types import Camera, Frame, RenderOutput
 from .metrics import NotComputed
 
+WINDOW_PX, SIGMA_PX = 11, 1.5
+"""SSIM's Gaussian window and its standard deviation, pixels."""
+C1, C2 = 0.01**2, 0.03**2
+"""SSIM's constants for images in 0..1."""
 BORDER_PX = 5
 """Half of SSIM's window of 11 pixels, rounded down: nearer to the border the window is cut."""
 
@@ -54,7 +58,11 @@ def psnr(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> floa
 
     Differentiable: no. Source: the protocol of GSFusion's evaluation (torchmetrics, data range 1, 8-bit images).
     """
-    a, b = _prepared(rgb, reference)
+    return _psnr(*_prepared(rgb, reference))
+
+
+def _psnr(a: Tensor, b: Tensor) -> float:
+    """PSNR of prepared images."""
     mse = _mean((a.double() - b.double()).square())
     return math.inf if mse == 0 else -10.0 * math.log10(mse)
 
@@ -74,7 +82,7 @@ def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> floa
 
     Differentiable: no. Source: Wang et al. 2004.
     """
-    return _mean(_ssim_map(rgb, reference))
+    return _mean(_ssim_map(*_prepared(rgb, reference)))
 
 
 def ssim_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float:
@@ -87,21 +95,40 @@ def ssim_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 
 
     Differentiable: no. Source: GSFusion's released evaluation.
     """
-    return _mean(_without_border(_ssim_map(rgb, reference, BORDER_PX + 6)))
+    return _mean(_without_border(_ssim_map(*_prepared(rgb, reference), BORDER_PX + 6)))
 
 
-def _ssim_map(rgb: Tensor, reference: Tensor, smallest: int = 6) -> Float[Tensor, "1 3 H W"]:
-    a, b = _prepared(rgb, reference)
+def _ssim_map(a: Tensor, b: Tensor, smallest: int = 6) -> Float[Tensor, "H W 3"]:
+    """SSIM at each pixel of prepared images. On a processor OpenCV filters, in a fifth of the time of a convolution."""
     if min(a.shape[:2]) < smallest:
         raise ValueError(f"rgb must be at least {smallest} pixels high and wide for an 11x11 window, got {[*a.shape]}")
-    from kornia.metrics import ssim as ssim_map
+    filtered = _filtered_by_opencv if a.device.type == "cpu" else _filtered_by_torch
+    mean_a, mean_b, mean_aa, mean_bb, mean_ab = (filtered(image) for image in (a, b, a * a, b * b, a * b))
+    aa, bb, ab = mean_a * mean_a, mean_b * mean_b, mean_a * mean_b
+    variances = (mean_aa - aa) + (mean_bb - bb)
+    return (2 * ab + C1) * (2 * (mean_ab - ab) + C2) / ((aa + bb + C1) * (variances + C2))
 
-    a, b = (image.permute(2, 0, 1)[None] for image in (a, b))
-    return ssim_map(a, b, window_size=11, max_val=1.0, eps=0.0)
+
+def _filtered_by_opencv(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
+    """Mean of the window of each pixel; the borders are reflected."""
+    import cv2
+
+    x = torch.arange(WINDOW_PX, dtype=image.dtype) - WINDOW_PX // 2
+    weights = (-x.square() / (2 * SIGMA_PX**2)).exp()
+    window = (weights / weights.sum()).numpy()
+    pixels = image.detach().contiguous().numpy()
+    return torch.from_numpy(cv2.sepFilter2D(pixels, -1, window, window, borderType=cv2.BORDER_REFLECT_101))
+
+
+def _filtered_by_torch(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
+    from kornia.filters import gaussian_blur2d
+
+    planes = image.permute(2, 0, 1)[None]
+    return gaussian_blur2d(planes, (WINDOW_PX, WINDOW_PX), (SIGMA_PX, SIGMA_PX))[0].permute(1, 2, 0)
 
 
 def _without_border(image: Tensor) -> Tensor:
-    return image[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
+    return image[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
 
 
 def lpips(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float | NotComputed:
@@ -280,13 +307,14 @@ class ImageScores:
 def score_view(view: RenderOutput, frame: Frame, *, with_lpips: bool = False) -> ViewScores:
     """Compare the map's picture of one view with the frame; arguments and scores are those of ``score_views``."""
     frame = frame.to(view.rgb.device)
-    images, side = (view.rgb, frame.rgb), min(frame.rgb.shape[:2])
+    images = (view.rgb, frame.rgb)
+    prepared, side = _prepared(*images), min(frame.rgb.shape[:2])
     l1_m, _ = depth_l1_m(expected_depth_m(view), frame.depth_m)
-    similarity = _ssim_map(*images) if side >= 6 else torch.full((1, 3, 1, 1), math.nan)
+    similarity = _ssim_map(*prepared) if side >= 6 else torch.full((1, 1, 3), math.nan)
     not_requested = NotComputed("not requested")
     return ViewScores(
         index=frame.index,
-        psnr=psnr(*images),
+        psnr=_psnr(*prepared),
         ssim=_mean(similarity),
         lpips=lpips(*images) if with_lpips else not_requested,
         ssim_as_released=_mean(_without_border(similarity)) if side > 2 * BORDER_PX else math.nan,
