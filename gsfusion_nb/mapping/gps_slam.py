@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..config import GpsSlamConfig, OptimConfig, gps_slam, gps_slam_fidelities, gps_slam_fidelity
-from ..export.tsdf_file import as_stored, write_tsdf
+from ..export.tsdf_file import write_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import Keyframe, adam_step, fit_pose_by_flow, l1_mse_vjp, l2_mse_vjp
@@ -17,7 +17,7 @@ from ..seeding import SeedContext
 from ..tracking import Correction
 from ..tsdf import FusedView, fuse_frame_
 from ..types import Camera, Frame, GaussianParams, RenderOutput
-from .gps_surface import TSDF, OverSurface, fit_to_pictures, plain_gaussians
+from .gps_surface import TSDF, OverSurface, StoredLooks, fit_to_pictures, plain_gaussians
 from .gps_views import BasedView, ViewRound, look_at
 from .mapper import Draw
 from .step import StepReport, ViewStep, as_floats
@@ -52,6 +52,7 @@ class GPSSLAM(TsdfMapping):
         super().__init__(*args, **options)
         self.views = ViewRound(self.config.schedule)
         self._kept_bases: dict[int, BasedView] = {}
+        self._stored_looks = StoredLooks()
         self._discs: tuple[int, GaussianParams | None] = (0, None)
         """Number of frames when the surface was made discs last, and these."""
         followed = gps_slam_fidelity(self.config).partition(",")[0]
@@ -143,7 +144,13 @@ class GPSSLAM(TsdfMapping):
 
     def drawn_as_stored(self) -> Draw:
         """The map with its TSDF rounded as in the file."""
-        return OverSurface(volume=as_stored(self.volume), params=self.params_now(), config=self.config.base).render
+        look = self._stored_looks.of(self.volume, self.n_frames)
+        over = OverSurface(volume=self.volume, params=self.params_now(), config=self.config.base, look=look)
+        return over.render
+
+    def forget_drawn(self) -> None:
+        """Give back the memory of what was seen of the surface."""
+        self._stored_looks.forget()
 
     @classmethod
     def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:

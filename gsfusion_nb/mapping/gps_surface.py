@@ -14,6 +14,7 @@ then fitted (``fit_to_pictures``) to pictures of the map itself.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..config import BaseConfig, OptimConfig
-from ..export.tsdf_file import read_tsdf
+from ..export.tsdf_file import as_stored, read_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
@@ -140,6 +141,55 @@ TSDF = "tsdf.npz"
 """The TSDF in a run's folder."""
 
 
+Look = Callable[[Camera, Float[Tensor, "4 4"]], tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]]
+"""Colour and depth of a surface that a camera sees, one ray for each pixel."""
+KEPT_LOOKS_BYTES = 1 << 28
+"""Largest memory of what was seen of a surface and is kept for the next score: 218 pictures of 320x240."""
+
+
+class StoredLooks:
+    """What cameras see of a volume as its file holds it, kept while the volume is the same.
+
+    A run scores the same views before and after its passes, which do not change the surface: it is rounded, and rays
+    are cast, once.
+    """
+
+    def __init__(self) -> None:
+        self._state: tuple[TsdfVolume | None, int] = (None, 0)
+        self._seen: dict[tuple[Camera, bytes], tuple[Tensor, Tensor]] = {}
+        self.n_bytes = 0
+        """Of what is kept."""
+
+    def of(self, volume: TsdfVolume, n_frames: int) -> Look:
+        """Looks at the volume as it is now.
+
+        Args:
+            volume: Of the map.
+            n_frames: Number of frames fused into it, which says whether it has changed.
+        """
+        if self._state[0] is not volume or self._state[1] != n_frames:
+            self.forget()
+            self._state = volume, n_frames
+        stored = functools.cache(lambda: as_stored(volume))
+        seen = self._seen
+
+        def look(camera: Camera, T_WC: Float[Tensor, "4 4"]) -> tuple[Tensor, Tensor]:
+            place = camera, T_WC.detach().cpu().contiguous().numpy().tobytes()
+            if place in seen:
+                return seen[place]
+            found = raycast(stored(), camera, T_WC.to(volume.device))
+            if self.n_bytes + found.rgb.nbytes + found.depth_m.nbytes <= KEPT_LOOKS_BYTES:
+                seen[place] = found.rgb, found.depth_m
+                self.n_bytes += found.rgb.nbytes + found.depth_m.nbytes
+            return found.rgb, found.depth_m
+
+        return look
+
+    def forget(self) -> None:
+        """Keep nothing."""
+        self._state, self._seen, self.n_bytes = (None, 0), {}, 0
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OverSurface:
     """A surface and the Gaussians that correct its picture."""
@@ -147,11 +197,17 @@ class OverSurface:
     volume: TsdfVolume
     params: GaussianParams
     config: BaseConfig
+    look: Look | None = None
+    """How its surface is seen; by default rays are cast through ``volume``."""
 
     def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
-        seen = raycast(self.volume, camera, T_WC.to(self.volume.device))
-        return base_view(seen.rgb, seen.depth_m, (camera.height, camera.width), self.config.holes, self.config.behind_m)
+        if self.look is None:
+            seen = raycast(self.volume, camera, T_WC.to(self.volume.device))
+            rgb, depth_m = seen.rgb, seen.depth_m
+        else:
+            rgb, depth_m = self.look(camera, T_WC)
+        return base_view(rgb, depth_m, (camera.height, camera.width), self.config.holes, self.config.behind_m)
 
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is the surface's."""

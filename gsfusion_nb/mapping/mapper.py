@@ -642,6 +642,9 @@ class Mapper(ABC):
         """The map as its files hold it, which is what a run scores; made now, so not changed by later frames."""
         return self.render
 
+    def forget_drawn(self) -> None:  # noqa: B027
+        """Give back the memory that ``drawn_as_stored`` keeps to draw the same views again."""
+
     @classmethod
     def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:
         """The map of a finished run, drawn from its folder.
