@@ -211,12 +211,13 @@ class GSFusion(TsdfMapping):
         self, rendered: RenderOutput, view: Frame | Keyframe, ssim_weight: float
     ) -> tuple[ViewLoss, Float[Tensor, ""]]:
         """L1 (Eq. 12), with D-SSIM and depth where the settings say so, or the given loss; and the MSE."""
-        pixels, optim = l1_mse_vjp(rendered.rgb, view.rgb), self.config.optim
+        target = view.rgb  # of a keyframe, made from bytes each time
+        pixels, optim = l1_mse_vjp(rendered.rgb, target), self.config.optim
         if self.training.loss is not None:
             return self.training.view_loss(rendered, view), pixels.mse
         loss, v_rgb, v_depth_m = pixels.value, pixels.v_rgb, None
         if ssim_weight > 0:
-            structural, v_structural = dssim_vjp(rendered.rgb, view.rgb)
+            structural, v_structural = dssim_vjp(rendered.rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
         if optim.depth_weight > 0 and view.depth_m is not None:

@@ -81,12 +81,13 @@ class TrainingView:
     @staticmethod
     def of(source: Frame | Keyframe, pixels: Bool[Tensor, "H W"] | None = None) -> "TrainingView":
         """The view of a frame or keyframe; all pixels by default."""
+        rgb = source.rgb  # of a keyframe, made from bytes each time
         depth_m = source.depth_m
         if depth_m is None:
-            depth_m = torch.zeros(source.rgb.shape[:2], device=source.rgb.device)
+            depth_m = torch.zeros(rgb.shape[:2], device=rgb.device)
         everywhere = torch.ones_like(depth_m, dtype=torch.bool)
         return TrainingView(
-            rgb=source.rgb,
+            rgb=rgb,
             depth_m=depth_m,
             camera=source.camera,
             T_WC=source.T_WC,
