@@ -9,6 +9,7 @@ from .adjust.repair import SequenceView as SequenceView
 from .adjust.repair import apply_options as apply_options
 from .adjust.repair import repaired as repaired
 from .adjust.resize import resize_frame as resize_frame
+from .frame_store import FrameStore as FrameStore
 from .open import data_files as data_files
 from .open import detect_layout as detect_layout
 from .open import frame_fingerprints as frame_fingerprints

@@ -93,6 +93,7 @@ ONLINE = {
 _COLOURS = "Colours of the vertices and of the pixels that show them, mean of the views."
 _TOTAL = "Mapped frames divided by the sum of their times."
 _MEAN_INVERSE = "As in the GSFusion paper; never below frames / total time."
+_WHOLE = "The sum of the stages below; in the report without the report itself."
 _PEAK = "Largest resident memory of the process, or GPU memory."
 _DRIFT = "Between the last estimated and the last true camera centre; the first pose is given by the data."
 _DEGENERATE = "A direction of motion could not be measured and was taken from the prediction."
@@ -134,8 +135,21 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         "fps_tracking": Metric("Speed, tracking alone", "frames/s", 2),
         "seconds_online": Metric("Online mapping", "s", 1),
         "seconds_global": Metric("Global optimisation", "s", 1),
-        "seconds_total": Metric("Whole run", "s", 1),
         "peak_memory_mb": _count("Peak memory", _PEAK, "MB"),
+    },
+    "Time of the whole run": {
+        "seconds_total": Metric("Whole run", "s", 1, 1.0, _WHOLE),
+        "seconds_opening": Metric("Opening the data", "s", 1),
+        "seconds_reading": Metric("Reading frames", "s", 1, 1.0, "Waiting for them, if they are read in advance."),
+        "seconds_mapping": Metric("Mapping", "s", 1),
+        "seconds_passes": Metric("Passes after the scan", "s", 1),
+        "seconds_mesh": Metric("Making the mesh", "s", 1),
+        "seconds_writing": Metric("Writing maps", "s", 1),
+        "seconds_checkpoints": Metric("Checkpoints", "s", 1),
+        "seconds_view_scores": Metric("Scores of views", "s", 1),
+        "seconds_mesh_scores": Metric("Scores of the mesh", "s", 1),
+        "seconds_report": Metric("Report", "s", 1),
+        "seconds_other": Metric("Everything else", "s", 1),
     },
     "Stream": {
         "n_frames_received": _count("Frames received"),

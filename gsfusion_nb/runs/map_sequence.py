@@ -24,6 +24,7 @@ from ..work import ProgressDisplay, memory_is_full
 from . import outputs
 from .mapping_run import MappingRun, RunWatcher, has_poses
 from .resume import load_run, resume_command
+from .run_clock import RunClock
 from .run_folder import CHECKPOINTS, NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
 from .stream_run import StreamRun
 
@@ -67,22 +68,25 @@ def run_mapping(
         The run with its folder and numbers. After Ctrl-C everything mapped so far is in the folder, and
         ``resume_mapping(folder)`` continues the run.
     """
+    clock = RunClock()
     is_room = str(data) == "room"
     preset = "room" if is_room else "replica"
     settings = config if isinstance(config, SystemConfig) else get_system(system).preset(config or preset)
-    if isinstance(data, (str, Path)):
-        is_folder = Path(data).expanduser().is_dir() and not is_room
-        source = {"path_or_name": str(Path(data).expanduser().resolve() if is_folder else data), **reader_options}
-        sequence = open_sequence(**source, data=settings.data)
-    else:
-        source, sequence = {}, apply_options(data, settings.data)
-    mapper = make_mapper(settings, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
-    if from_gaussians is not None:
-        mapper.begin_with(read_gaussian_ply(from_gaussians, keep_place=True), Path(from_gaussians).name)
-    run = MappingRun(sequence, mapper, source=source)
+    with clock("opening"):
+        if isinstance(data, (str, Path)):
+            is_folder = Path(data).expanduser().is_dir() and not is_room
+            source = {"path_or_name": str(Path(data).expanduser().resolve() if is_folder else data), **reader_options}
+            sequence = open_sequence(**source, data=settings.data)
+        else:
+            source, sequence = {}, apply_options(data, settings.data)
+        mapper = make_mapper(settings, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
+        if from_gaussians is not None:
+            mapper.begin_with(read_gaussian_ply(from_gaussians, keep_place=True), Path(from_gaussians).name)
+        run = MappingRun(sequence, mapper, source=source, clock=clock)
     with RunFolder(new_folder(sequence.name, folder)) as place:
         if source and not is_room and has_poses(sequence):
-            run.warnings += _doubts(sequence.mapping)
+            with clock("opening"):
+                run.warnings += _doubts(sequence.mapping)
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
 
 
@@ -167,6 +171,8 @@ def drive(
     run.go_on()
     run.watchers += [watch] if watch is not None else []
     stop = StopRequest()
+    if evaluate:
+        run.keep_frames()
     outputs.write_rule(run, folder)
     run.after_step = Autosave(run.mapper, lambda: _checkpoint(run, folder, stop), every or CheckpointEvery())
     with stop.listening():
@@ -183,9 +189,12 @@ def drive(
         metrics: dict[str, Any] = outputs.map_metrics(run, mesh) | run.online_scores
         if evaluate:
             _score(run, folder, stop, mesh, metrics)
-            outputs.write_page(run, folder, metrics)
+            with run.clock("report"):
+                outputs.write_page(run, folder, metrics | run.clock.metrics())
         for watcher in run.watchers:
             watcher.finished(run.mapper, mesh, metrics)
+        run.forget_pictures()
+        metrics |= run.clock.metrics()
         outputs.write_numbers(run, folder, metrics)  # after all other files: its status says that they are there
         if run.status != "interrupted" or not run.resumable:
             CheckpointStore(folder / CHECKPOINTS).remove()
@@ -245,8 +254,9 @@ def _score(run: MappingRun, folder: Path, stop: StopRequest, mesh: Mesh, metrics
     with stop.ending_at_once():
         metrics |= outputs.score(run)
         metrics |= outputs.score_trajectory(run)
-        metrics |= outputs.score_mesh(run, mesh)
-        metrics |= outputs.score_centres(run, mesh)
+        with run.clock("mesh_scores"):
+            metrics |= outputs.score_mesh(run, mesh)
+            metrics |= outputs.score_centres(run, mesh)
     if stop and not already:
         run.status = "interrupted"
         run.note_ending("interrupted while the views were scored; the maps are complete")
@@ -284,7 +294,7 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
 def _checkpoint(run: MappingRun, folder: Path, stop: StopRequest) -> None:
     """Save a checkpoint if possible."""
     if run.can_be_saved:
-        with stop.held_back():
+        with stop.held_back(), run.clock("checkpoints"):
             run.save_checkpoint(folder)
 
 

@@ -12,7 +12,8 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
+from ..data import FrameStore, OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
+from ..data.adjust.repair import as_read
 from ..data.stream import read_ahead
 from ..export import CheckpointStore
 from ..geometry import se3
@@ -20,13 +21,17 @@ from ..interrupts import DelayedInterrupt
 from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..seeding.rule_code import file_source
 from ..types import Frame, Mesh
+from ..work import MAP_MEMORY
 from .ran_on import ran_on
+from .run_clock import RunClock
 from .run_folder import CHECKPOINTS, StepLog, packed, random_state
 
 log = logging.getLogger(__name__)
 
 MAX_BAD_FRAMES_IN_A_ROW = 20
 """After more unusable frames in a row than this, the run stops; a lost camera is looked for until the end."""
+KEPT_BYTES = 1 << 28
+"""Images of frames that are kept to be scored and shown: 128 frames of 640x480."""
 READ_AHEAD = 4
 """Number of frames of a recording on disk that another thread decodes in advance."""
 _ENDINGS = ("interrupted after ", "interrupted while ", "ended by ")
@@ -72,6 +77,7 @@ class MappingRun:
         sequence: The sequence to map, from ``open_sequence`` or ``apply_options``.
         mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
         source: How the sequence was opened (path, format), written to config.json so that it can be opened again.
+        clock: Of the run, if it began before, to open the data.
 
     Raises:
         SequenceError: The data has no poses, and the settings do not ask to track them.
@@ -80,12 +86,21 @@ class MappingRun:
     resumable = True
     """Whether an interrupted run can be continued from its checkpoint."""
 
-    def __init__(self, sequence: OpenedSequence, mapper: Mapper, *, source: dict[str, Any] | None = None):
+    def __init__(
+        self,
+        sequence: OpenedSequence,
+        mapper: Mapper,
+        *,
+        source: dict[str, Any] | None = None,
+        clock: RunClock | None = None,
+    ):
         if not isinstance(mapper, Mapper):
             raise TypeError(f"expected a mapper, such as GSFusion(config), got {type(mapper).__name__}")
         self.mapper: Any = mapper
         if self.mapper.config.tracking.poses == "given" and not has_poses(sequence):
             raise SequenceError(f"{sequence.name} has no poses; set tracking.poses = 'tracked' to track the camera")
+        self.clock = clock or RunClock()
+        """Where the time of the run goes."""
         self.sequence = sequence
         self.source = source or {}
         self.data_files = data_files(sequence) if source else {}
@@ -167,14 +182,16 @@ class MappingRun:
     def _next_step(self, frames: Frames) -> StepReport | Literal["skipped", "end"]:
         """Map the next frame and count it, or skip it; Ctrl-C takes effect before both or after both."""
         try:
-            frame = next(frames)
+            with self.clock("reading"):
+                frame = next(frames)
         except StopIteration:
             return "end"
         except SequenceError as e:
             return self._skip(e)
         with DelayedInterrupt():
             try:
-                report = self.mapper.step(frame)
+                with self.clock("mapping"):
+                    report = self.mapper.step(frame)
             except SequenceError as e:
                 return self._skip(e)
             self.bad_in_a_row = 0
@@ -251,7 +268,7 @@ class MappingRun:
     def _next_global_step(self, steps: Iterator[GlobalStep]) -> GlobalStep | None:
         """Take a step and count it, or note that there are no more; Ctrl-C takes effect after both."""
         start = time.perf_counter()
-        with DelayedInterrupt():
+        with DelayedInterrupt(), self.clock("passes"):
             step = next(steps, None)
             if step is None:
                 self.is_optimised = True
@@ -262,6 +279,28 @@ class MappingRun:
                 self._pass_losses = []
             self.seconds_global += time.perf_counter() - start
             return step
+
+    def keep_frames(self, limit_bytes: int = KEPT_BYTES) -> None:
+        """Keep frames that are read, so that those that are scored and shown are read once: at most so many bytes.
+
+        Frames that are in memory, or made by code of others, are not kept.
+        """
+        source = as_read(self.sequence.source)
+        if not (isinstance(source, RecordedSequence) or hasattr(source, "content")):
+            return
+        if MAP_MEMORY.limit_bytes is not None:
+            limit_bytes = min(limit_bytes, MAP_MEMORY.limit_bytes // 8)
+        kept = FrameStore(limit_bytes, lambda: self.clock("reading"))
+        mapped, limit = self.sequence.mapping.positions, self.mapper.config.data.scored_views
+        scored = [mapped[i] for i in evenly(len(mapped), limit)]
+        kept.wanted = frozenset([*scored, *self.sequence.held_out.positions])
+        self.sequence = self.sequence.keeping(kept)
+
+    def forget_pictures(self) -> None:
+        """Give back the memory of what was kept to score and show the same views again."""
+        if self.sequence.kept is not None:
+            self.sequence.kept.clear()
+        self.mapper.forget_drawn()
 
     def save_checkpoint(self, folder: Path) -> None:
         """Write a checkpoint to ``folder``, from which the run can be resumed; only what has changed is written."""
@@ -299,6 +338,7 @@ class MappingRun:
             "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),
             "timestamps_s": torch.tensor(self.timestamps_s, dtype=torch.float64),
             "endings": list(self.endings),
+            "clock": self.clock.state_dict(),
             **{name: copy.copy(getattr(self, name)) for name in _PLAIN},
         }
 
@@ -307,6 +347,7 @@ class MappingRun:
         self.steps = self._step_log.load_state_dict(state["steps"])
         self._pass_losses = list(state["pass_losses"].to(self.mapper.device))
         self.timestamps_s = state["timestamps_s"].tolist()
+        self.clock.load_state_dict(state.get("clock", {}))
         for name in _PLAIN:
             setattr(self, name, state[name])
         old = [sentence for sentence in self.warnings if sentence.startswith(_ENDINGS)]

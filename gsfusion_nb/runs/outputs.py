@@ -73,11 +73,12 @@ MESH_VIEWS = 50
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of the current map on mapped and held-out views."""
     mapper, params = run.mapper, run.mapper.params_now()
-    draw = mapper.drawn_as_stored()
-    wanted = mapper.config.data.align_held_out and not suffix
-    align = (lambda frame: mapper.aligned_pose(draw, params, frame)) if wanted else None
-    views = scored_views(run)
-    metrics = score_in_map(draw, views, run.sequence, suffix, with_lpips=with_lpips, align=align)
+    with run.clock("view_scores"):
+        draw = mapper.drawn_as_stored()
+        wanted = mapper.config.data.align_held_out and not suffix
+        align = (lambda frame: mapper.aligned_pose(draw, params, frame)) if wanted else None
+        views = scored_views(run)
+        metrics = score_in_map(draw, views, run.sequence, suffix, with_lpips=with_lpips, align=align)
     for sentence in nan_views(metrics, [f"{name}{suffix}" for name in views]):
         if suffix:  # of the map before the passes, which is scored once
             run.warn_once(sentence)
@@ -103,10 +104,17 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         DiskFullError: The disk has no space for a file; those before it are written.
     """
     try:
-        mesh = run.mapper.mesh()
+        with run.clock("mesh"):
+            mesh = run.mapper.mesh()
     except torch.OutOfMemoryError as e:
         mesh = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3))
         run.note_ending(f"no mesh was made, because GPU memory was full: {str(e).splitlines()[0]}")
+    with run.clock("writing"):
+        _write_maps(run, folder, mesh)
+    return mesh
+
+
+def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
     run.hashes = map_hashes(run, mesh)
     settings = {
         "gsfusion_nb": __version__,
@@ -128,7 +136,6 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     write_gaussian_ply(folder / "gaussians.ply", run.mapper.params_now())
     run.mapper.write_besides(folder)
     write_mesh_ply(folder / "mesh.ply", mesh)
-    return mesh
 
 
 def map_hashes(run: MappingRun, mesh: Mesh | None = None) -> dict[str, str]:
@@ -179,8 +186,8 @@ def _write_trajectory(run: MappingRun, folder: Path) -> None:
 
 
 def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any], status: str = "") -> None:
-    """Write metrics.json: status (by default that of the run), warnings, a hash of each map, the metrics, and a row per
-    frame.
+    """Write metrics.json: status (by default that of the run), warnings, a hash of each map, the metrics, the processor
+    time of each stage, and a row per frame.
     """
     rows = [vars(s) | {"losses": list(s.losses), "total_seconds": s.total_seconds} for s in run.steps]
     document = {
@@ -189,6 +196,7 @@ def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any], status
         "sha256": run.hashes,
         "ran_on": ran_on(run.mapper.device),
         "metrics": metrics_as_json(metrics),
+        "processor_seconds": run.clock.cpu_seconds,
         "frames": rows,
     }
     write_json(folder / METRICS, document)

@@ -128,6 +128,7 @@ class ScoredViews:
             camera=sequence.camera,
             depth_min_m=sequence.depth_min_m,
             depth_max_m=sequence.depth_max_m,
+            kept=sequence.kept,
         )
         yield from frames_at(view, list(self.poses))
 

@@ -18,6 +18,7 @@ from torch import Tensor
 from ...config import DataConfig, RepairConfig
 from ...geometry import pixel_grid, rays, se3
 from ...types import Camera, Frame
+from ..frame_store import FrameStore
 from ..lens import same_proportions, warp_depth
 from ..recorded.images import read_depth
 from ..recorded.recorded_sequence import RecordedSequence
@@ -114,7 +115,9 @@ class RepairedSequence:
     def _depth(self, frame: Frame, i: int, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "H W"]:
         """Depth at the picture's pose ``T_WC``: the image that was taken nearest to the picture, from its own pose."""
         j, lag_s = self._depth_images[i]
-        depth_m = (frame if j == i else self.source[j]).depth_m * self.repair.depth_factor
+        depth_m = frame.depth_m if j == i else self._depth_image(j)
+        if self.repair.depth_factor != 1:
+            depth_m = depth_m * self.repair.depth_factor
         if self.repair.depth_kind == "ray":
             ray_length = rays(self.camera, pixel_grid(self.camera)).norm(dim=-1)
             depth_m = depth_m / ray_length
@@ -123,6 +126,11 @@ class RepairedSequence:
         T_CW = se3.inverse(T_WC.double())
         T_from_depth = T_CW @ self._pose_after(i, lag_s)
         return warp_depth(depth_m, self.camera, self.camera, T_from_depth)
+
+    def _depth_image(self, j: int) -> Float[Tensor, "H W"]:
+        """Depth of the source's frame ``j``; of a recording only that image is decoded."""
+        source = self.source
+        return source.depth_image(j) if isinstance(source, RecordedSequence) else source[j].depth_m
 
     @functools.cached_property
     def _depth_images(self) -> list[tuple[int, float]]:
@@ -245,6 +253,8 @@ class SequenceView:
     """0 means no limit."""
     extra: ExtraOf | None = None
     """Gives further images of each frame, at the size of the source."""
+    kept: FrameStore | None = None
+    """Holds frames that were read before; without it each frame is read whenever it is asked for."""
 
     @property
     def name(self) -> str:
@@ -266,7 +276,20 @@ class SequenceView:
         return self.source.pose(self.positions[position(i, len(self))])
 
     def __getitem__(self, i: int) -> Frame:
-        frame = self.source[self.positions[position(i, len(self))]]
+        if self.kept is None:
+            return self._read(self.positions[position(i, len(self))])
+        return self._kept(self.kept, self.positions[position(i, len(self))])
+
+    def _kept(self, kept: FrameStore, place: int) -> Frame:
+        with kept.timed():
+            frame = kept.get(place) if self.extra is None else None
+            if frame is None:
+                frame = self._read(place)
+                kept.add(place, frame)
+            return frame
+
+    def _read(self, place: int) -> Frame:
+        frame = self.source[place]
         if self.extra is not None:
             extra = {**frame.extra, **self.extra(frame)}
             frame = dataclasses.replace(frame, extra=extra)
@@ -281,6 +304,11 @@ class OpenedSequence(SequenceView):
     """Frames to map."""
     held_out: SequenceView
     """Frames never mapped, for novel-view evaluation; may be empty."""
+
+    def keeping(self, kept: FrameStore) -> "OpenedSequence":
+        """The same frames, of which each that was read is kept in ``kept`` for those who read it again."""
+        parts = {name: dataclasses.replace(getattr(self, name), kept=kept) for name in ("mapping", "held_out")}
+        return dataclasses.replace(self, **parts, kept=kept)
 
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}: {len(self.mapping)} to map, {len(self.held_out)} held out)"

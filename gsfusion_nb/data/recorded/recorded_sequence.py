@@ -79,6 +79,23 @@ class RecordedSequence:
         i = position(i, len(self))
         return checked_pose(self.poses[i], self.pose_sources[i])
 
+    def depth_image(self, i: int) -> Float[Tensor, "H W"]:
+        """z-depth of frame ``i``, metres, the same as ``sequence[i].depth_m``.
+
+        The colour image is decoded only where both are rectified together, or its size is to be compared with the
+        camera's; a damaged one therefore does not matter here.
+        """
+        i = position(i, len(self))
+        if self.rectify is not None:
+            return self[i].depth_m
+        depth_m = read_depth(self.depth_files[i], scale=self.depth_scale, invalid=self.depth_invalid)
+        size = depth_m.shape[1::-1]
+        if size != (self.camera.width, self.camera.height):
+            raise BadFrameError(
+                f"{self.depth_files[i]} is {_wxh(size)}; expected {_wxh((self.camera.width, self.camera.height))}"
+            )
+        return torch.from_numpy(depth_m)
+
     def __getitem__(self, i: int) -> Frame:
         i = position(i, len(self))
         T_WC = self.pose(i)

@@ -1,0 +1,77 @@
+"""Where the time of a run goes: stages that add up to the whole."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+STAGES = (
+    "opening", "reading", "mapping", "passes", "mesh", "writing", "checkpoints", "view_scores", "mesh_scores",
+    "report", "other",
+)  # fmt: skip
+"""Names of the stages, in about the order of a run; what is in no stage counts as other."""
+
+
+class RunClock:
+    """Adds up the time of each stage: ``with clock("reading"): ...``. A stage inside another counts for itself alone.
+
+    Only the thread that made it is counted: frames that another one decodes in advance count as reading while they are
+    waited for.
+
+    Args:
+        now: Returns the time in seconds.
+        cpu: Returns the processor time of the process in seconds.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.perf_counter, cpu: Callable[[], float] = time.process_time):
+        self._now, self._cpu = now, cpu
+        self.seconds = dict.fromkeys(STAGES, 0.0)
+        """Stage -> wall time so far, seconds."""
+        self.cpu_seconds = dict.fromkeys(STAGES, 0.0)
+        """Stage -> processor time so far, seconds, of all threads."""
+        self._thread = threading.get_ident()
+        self._inside = ["other"]
+        self._since = now(), cpu()
+
+    @contextlib.contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        if threading.get_ident() != self._thread:
+            yield
+            return
+        self._count()
+        self._inside.append(stage)
+        try:
+            yield
+        finally:
+            self._count()
+            self._inside.pop()
+
+    def metrics(self) -> dict[str, float]:
+        """Seconds of each stage so far, and their sum, with their names in metrics.json."""
+        self._count()
+        return {f"seconds_{stage}": s for stage, s in self.seconds.items()} | {"seconds_total": self.total}
+
+    @property
+    def total(self) -> float:
+        """Wall time of all stages, seconds."""
+        return sum(self.seconds.values())
+
+    def state_dict(self) -> dict[str, dict[str, float]]:
+        """The times so far."""
+        self._count()
+        return {"seconds": dict(self.seconds), "cpu_seconds": dict(self.cpu_seconds)}
+
+    def load_state_dict(self, state: dict[str, dict[str, float]]) -> None:
+        """Add the times of the run before it was interrupted."""
+        for name, times in state.items():
+            mine = getattr(self, name)
+            for stage, seconds in times.items():
+                mine[stage] = mine.get(stage, 0.0) + seconds
+
+    def _count(self) -> None:
+        """Add the time since the last change to the stage that is open."""
+        now, cpu = self._now(), self._cpu()
+        stage = self._inside[-1]
+        self.seconds[stage] += now - self._since[0]
+        self.cpu_seconds[stage] += cpu - self._since[1]
+        self._since = now, cpu
