@@ -162,17 +162,26 @@ class Trials:
                 among = around if {"start", "stop", "repair.skip"} & {*options} else None
                 before, after = self.of(rest, among=among), self.of(kept, other, among)
                 gained = after.gains(before)
-                tried = f"Tried{'' if gained else ', and no better'}: {after.beside(before)}."
-                if not after.is_measured(before):
-                    tried = f"Could not be tried: {after.beside(before)}."
-                f = replace(f, sentence=f"{f.sentence} {tried}")
                 if gained:
                     self.base = other or self.base
+                    tried = f"Tried: {after.beside(before)}."
+                    if not after.is_measured(before):
+                        tried = f"Could not be tried: {after.beside(before)}."
+                    f = replace(f, sentence=f"{f.sentence} {tried}")
                 else:
-                    kept, f = rest, replace(f, verdict="unknown", repair="")
+                    kept, f = rest, _vetoed(f, options, after.beside(before))
             judged.append(f)
         if kept == DataConfig() and self.base is read:
             return judged, kept, ""
         there = {*apply_options(self.base, combined(self._given, kept)).positions}
         both = [pair for pair in self.pairs if there.issuperset(pair)]
         return judged, kept, self.of(kept, among=both).beside(self.of(DataConfig(), read, both))
+
+
+def _vetoed(f: Finding, options: list[str], beside: str) -> Finding:
+    """A finding whose repair gains nothing: what a fit took for wrong is not known; what was seen in the images stays
+    true."""
+    sentence = f"Cannot be known from these frames: {f.repair} was tried, and is no better: {beside}."
+    if {*options} & {"repair.skip", *(limit.replace("_", "-") for limit in LIMITS)}:
+        sentence = f"{f.sentence} Tried, and no better: {beside}."
+    return replace(f, verdict="unknown", sentence=sentence, repair="")

@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.config import RepairConfig
+from gsfusion_nb.config import DataConfig, RepairConfig
 from gsfusion_nb.data import folder
 from gsfusion_nb.data.adjust.small_images import without_speckle
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.checkup import check_recording
 from gsfusion_nb.recordings.checkup.frames import OverFrames, exposure_finding
+from gsfusion_nb.recordings.checkup.report import Finding
 from gsfusion_nb.recordings.checkup.sample import read_sample
 from gsfusion_nb.recordings.checkup.stored_values import image_size, missing_finding, pose_matrices, time_stamps
-from gsfusion_nb.recordings.checkup.trial import Trial
+from gsfusion_nb.recordings.checkup.trial import Trial, Trials
 
 
 @pytest.fixture
@@ -165,3 +166,21 @@ def test_what_was_not_measured_is_no_reason_against_a_repair():
     assert not some.gains(some)
     assert not Trial(share=0.5004, contrast=1.0).gains(some)  # 50.0 % -> 50.0 %
     assert Trial(share=0.502, contrast=1.0).gains(some)
+
+
+def test_what_gains_nothing_is_not_said_to_be_wrong(monkeypatch):
+    trials = Trials(room(n_frames=200, width=32, height=24), DataConfig())
+    monkeypatch.setattr(trials, "of", lambda *_, **__: Trial(share=0.499, contrast=1.0))
+    found = [
+        Finding("focal length", "wrong", "The focal lengths are wrong: fx 500.0, but ...", "--data.repair.fx 520.0"),
+        Finding("frozen frames", "wrong", "Colour or depth is that of the previous frame.", "--data.repair.skip 3"),
+    ]
+    more = DataConfig(repair=RepairConfig(fx=520.0, skip=(3,)))
+    (focal, frozen), kept, _ = trials.judged(found, more, None)
+    assert kept == DataConfig()
+    assert (focal.verdict, focal.repair, frozen.verdict, frozen.repair) == ("unknown", "", "unknown", "")
+    assert focal.sentence == (
+        "Cannot be known from these frames: --data.repair.fx 520.0 was tried, and is no better: 49.9% -> 49.9% of the "
+        "points agree in depth and brightness, contrast on depth edges 1.00 -> 1.00."
+    )
+    assert frozen.sentence.startswith("Colour or depth is that of the previous frame. Tried, and no better: 49.9%")
