@@ -11,7 +11,6 @@ import torch
 
 from ..config import SystemConfig
 from ..data import Sequence, SequenceError, apply_options, open_sequence
-from ..data.adjust.depth_agreement import agreeing_share
 from ..data.stream import Policy
 from ..evaluation import ONLINE
 from ..export import CheckpointStore, read_gaussian_ply
@@ -22,7 +21,7 @@ from ..seeding import SeedingRule, rule_name
 from ..types import Frame, Mesh
 from ..work import ProgressDisplay, memory_is_full
 from . import outputs
-from .mapping_run import MappingRun, RunWatcher, has_poses
+from .mapping_run import MappingRun, RunWatcher
 from .resume import load_run, resume_command
 from .run_clock import RunClock
 from .run_folder import CHECKPOINTS, NOT_SAVED, Autosave, CheckpointEvery, RunFolder, StopRequest, new_folder
@@ -84,9 +83,6 @@ def run_mapping(
             mapper.begin_with(read_gaussian_ply(from_gaussians, keep_place=True), Path(from_gaussians).name)
         run = MappingRun(sequence, mapper, source=source, clock=clock)
     with RunFolder(new_folder(sequence.name, folder)) as place:
-        if source and not is_room and has_poses(sequence):
-            with clock("opening"):
-                run.warnings += _doubts(sequence.mapping)
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
 
 
@@ -120,16 +116,6 @@ def resume_mapping(
     with RunFolder(folder) as place:
         run = load_run(folder, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
-
-
-def _doubts(sequence: Sequence) -> list[str]:
-    """A warning if poses or depth seem to follow another convention, checked on a few pairs of frames."""
-    try:
-        share = agreeing_share(sequence)
-    except SequenceError:
-        return []
-    said = f"only {share:.0%} of the points of a frame agree with a later frame; gsfusion-nb check finds out why"
-    return [] if share > 1 / 3 else [said]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -22,6 +22,7 @@ from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..seeding.rule_code import file_source
 from ..types import Frame, Mesh
 from ..work import MAP_MEMORY
+from .frame_watch import QuietWatch
 from .ran_on import ran_on
 from .run_clock import RunClock
 from .run_folder import CHECKPOINTS, StepLog, packed, random_state
@@ -139,6 +140,7 @@ class MappingRun:
         self.after_step: Callable[[], None] = lambda: None
         """Called after every frame and every step of the optimisation, when the state is complete."""
         self.watchers: list[RunWatcher] = []
+        self._watch = QuietWatch()
         self.store: CheckpointStore | None = None
         """Where the last checkpoint was saved, or read; it knows what need not be written again."""
         self.status = "running"
@@ -167,11 +169,13 @@ class MappingRun:
             SequenceError: No frame could be mapped; the message gives the first reason.
         """
         frames = self.frames()
+        self._watch.begin(self)
         try:
             while (taken := self._next_step(frames)) != "end":
                 if isinstance(taken, StepReport):
                     self.after_step()
                     yield taken
+            self._watch.look(self, None)
         except FrameUndone:  # the run is asked to stop
             return
         finally:
@@ -200,6 +204,7 @@ class MappingRun:
             self._passed(frame)
             for sentence in self.mapper.step_warnings(frame, report):
                 self._warn(sentence)
+            self._watch.look(self, frame)
         for watcher in self.watchers:
             watcher.frame_mapped(self.mapper, frame, report)
         return report

@@ -10,12 +10,9 @@ from torch import Tensor
 
 from ...geometry import depth_to_points, project, se3
 from ...types import Camera, Frame
-from ..sequence import BadFrameError, Sequence, SequenceError
 
 AGREES = 0.03
 """A point agrees when its depth differs by less than this share: a Kinect's noise at 4 m is 1 to 2 per cent."""
-
-_MIN_ANGLE_RAD = 0.12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,37 +108,3 @@ def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthConsistency:
     """
     T_ba = relative_poses(a.T_WC.double(), b.T_WC.double())
     return depth_consistency(sparse_points(b.camera, a.depth_m, step), b.depth_m, b.camera, T_ba)
-
-
-def agreeing_share(sequence: Sequence, *, pairs: int = 4) -> float:
-    """Mean share of a frame's points that agree with a later frame, over a few pairs spread over the sequence.
-
-    Inverted poses, another convention of axes or a wrong depth scale leave less than a third.
-
-    Raises:
-        SequenceError: no two usable frames.
-    """
-    shares = []
-    for k in range(pairs):
-        first = k * len(sequence) // (pairs + 1)
-        try:
-            a, b = sequence[first], sequence[_partner(sequence, first)]
-        except BadFrameError:
-            continue
-        if a.index != b.index:
-            shares.append(float(depth_agreement(a, b).agreeing))
-    if not shares:
-        raise SequenceError(f"{sequence.name} has no two usable frames; expected at least two to compare")
-    return sum(shares) / len(shares)
-
-
-def _partner(sequence: Sequence, first: int) -> int:
-    """The next frame, at most 30 later, that is rotated or moved enough to reveal a wrong interpretation."""
-    T = sequence.pose(first).double()
-    last = min(first + 30, len(sequence) - 1)
-    for i in range(first + 1, last):
-        relative = se3.inverse(T) @ sequence.pose(i).double()
-        moved_m = float(relative[:3, 3].norm())
-        if float(se3.rotation_angle(relative[:3, :3])) > _MIN_ANGLE_RAD or moved_m > 0.15:
-            return i
-    return last
