@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..data.adjust.first_frames import FirstAgreement, SmallFrame, agreement_of, pairs_of, stands_still
 from ..data.adjust.reprojection import Reprojection
-from ..data.adjust.steps import STEPS_AROUND, STILL_DEG, STILL_M, find_jumps, repeated_image
+from ..data.adjust.steps import JUMP_ERROR, STEPS_AROUND, STILL_DEG, STILL_M, find_jumps, repeated_image
 from ..geometry import se3
 from ..mapping.localiser import jump_from
 from ..mapping.usual_torch import usual_torch
@@ -184,7 +184,7 @@ class FrameWatch:
         A step over a pause may be longer. One that no camera makes is told by the mapper. Where the depth
         image changes, too, much more than in the other steps, the recording goes on at another place.
         """
-        if self._is_tracking or not self._steps:
+        if self._is_tracking or all(step["error"] <= JUMP_ERROR for step in self._steps):
             return ""
         turned, moved, seconds, error, still, repeated, is_told = (
             np.array([step[name] for step in self._steps])

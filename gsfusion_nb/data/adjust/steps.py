@@ -13,7 +13,7 @@ _JUMP_BASE_DEG, _JUMP_BASE_M = 1.0, 0.03
 """Shorter steps are not jumps."""
 _JUMP_OF_MEDIAN = 1.5
 """A jump is longer than this many times the median of the steps around, ..."""
-_JUMP_ERROR, _JUMP_ERROR_OF_USUAL = 0.01, 4.0
+JUMP_ERROR, _JUMP_ERROR_OF_USUAL = 0.01, 4.0
 """... and depth then differs by this share and this many times the usual difference; the worst of 250 steps of a
 hand-held Kinect differs by 0.6 per cent, twice the usual."""
 _JUMP_UNSEEN = 4.0
@@ -55,7 +55,7 @@ def find_jumps(
     for i in np.flatnonzero(np.isfinite(step)):
         around = step[max(0, i - STEPS_AROUND) : i + STEPS_AROUND + 1]
         times = step[i] / max(np.nanmedian(around), 1e-9)
-        disagrees = error[i] > max(_JUMP_ERROR, _JUMP_ERROR_OF_USUAL * usual_error) and times > _JUMP_OF_MEDIAN
+        disagrees = error[i] > max(JUMP_ERROR, _JUMP_ERROR_OF_USUAL * usual_error) and times > _JUMP_OF_MEDIAN
         unseen = np.isnan(error[i]) and times > _JUMP_UNSEEN
         if step[i] > 1 and (disagrees or unseen) and not frozen[i]:
             jumps.add(int(i))
