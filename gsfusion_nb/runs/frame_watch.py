@@ -7,7 +7,7 @@ anyway, and says one sentence where they do not agree. It draws no random number
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -20,9 +20,6 @@ from ..geometry import se3
 from ..mapping.localiser import jump_from
 from ..mapping.usual_torch import usual_torch
 from ..types import Frame
-
-if TYPE_CHECKING:
-    from .mapping_run import MappingRun
 
 ADVICE = "run `gsfusion-nb check DATA`"
 """How each sentence ends."""
@@ -235,6 +232,21 @@ def doubt_of(found: FirstAgreement) -> str:
     return ""
 
 
+@runtime_checkable
+class WatchedRun(Protocol):
+    """What a watch needs to know of a run."""
+
+    mapper: Any
+    sequence: Any
+    steps: list[Any]
+    warnings: list[str]
+    resumable: bool
+
+    def warn_once(self, sentence: str) -> None:
+        """Warn, unless the run has said so before."""
+        ...
+
+
 class QuietWatch:
     """The watch of one run, until it has said something; whatever happens in it, the run goes on."""
 
@@ -242,11 +254,11 @@ class QuietWatch:
         self._watch: FrameWatch | None = None
         self._is_over = False
 
-    def begin(self, run: "MappingRun") -> None:
+    def begin(self, run: WatchedRun) -> None:
         """Before the first frame, or the first one after a checkpoint."""
         self._is_over = any(sentence.endswith(ADVICE) for sentence in run.warnings)
 
-    def look(self, run: "MappingRun", frame: Frame | None) -> None:
+    def look(self, run: WatchedRun, frame: Frame | None) -> None:
         """Look at the frame that was mapped last; None: no more will come. What is doubtful the run warns of."""
         if self._is_over:
             return
@@ -258,7 +270,7 @@ class QuietWatch:
             self._is_over, self._watch = True, None
             run.warn_once(said)
 
-    def _look(self, run: "MappingRun", frame: Frame | None) -> str:
+    def _look(self, run: WatchedRun, frame: Frame | None) -> str:
         localiser = run.mapper.localiser
         poses = localiser.poses
         if self._watch is None:
@@ -270,7 +282,7 @@ class QuietWatch:
         return self._watch.end(poses) if frame is None else self._watch.see(frame, poses)
 
 
-def _frame_of(run: "MappingRun", number: int) -> Frame:
+def _frame_of(run: WatchedRun, number: int) -> Frame:
     """A frame that was mapped, read once more."""
     index = run.mapper.localiser.frame_indices[number]
     return dataclasses.replace(run.sequence.mapping, positions=[index])[0]
