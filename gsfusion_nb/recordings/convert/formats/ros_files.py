@@ -15,6 +15,7 @@ import yaml
 from ....data.sequence import SequenceError, SequenceNotFoundError
 from ....files import open_regular, parsing, read_text
 from .realsense_sdk import stream_of
+from .unpacking import bounded, check_tables, most_bytes
 
 METADATA = "metadata.yaml"
 """Of a ROS 2 bag: the file that names the others."""
@@ -38,10 +39,17 @@ def opened_bag(path: Path) -> Iterator[Any]:
     place = path.parent if path.suffix == ".db3" else path
     types = get_typestore(Stores.ROS2_HUMBLE)  # ROS 2 bags before Iron do not contain their message types
     types.register(get_types_from_msg(_TF_MESSAGE, "tf2_msgs/msg/TFMessage"))
-    for file in [place] if place.is_file() else _files_of(place, path):
+    files = [place] if place.is_file() else _files_of(place, path)
+    for file in files:
         open_regular(file, _WHAT).close()
+        if file.suffix == ".db3":
+            check_tables(file)
     what = "a ROS bag; if it is truncated or was not closed after recording, try 'rosbag reindex' or 'ros2 bag reindex'"
-    with parsing(path, what), AnyReader([_BagPath(place)], default_typestore=types) as reader:
+    with (
+        bounded(path, most_bytes(files)),
+        parsing(path, what),
+        AnyReader([_BagPath(place)], default_typestore=types) as reader,
+    ):
         yield reader
 
 
