@@ -114,12 +114,12 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     if not (folder / TSDF).is_file() or options.bake_steps < 0 or options.out.suffix.lower() in (".glb", ".usda"):
         return gaussians
     settings = read_object(folder / "config.json", "the settings of a run", objects=("config",))
-    system = get_system(settings.get("system", "gsfusion"))
+    with parsing(folder / "config.json", "the settings of a run"):
+        system = get_system(settings.get("system", "gsfusion"))
+        config = from_run(system.config_type, settings["config"])
     trajectory = folder / "trajectory.txt"
     poses = read_trajectory_tum(trajectory)[1].float() if trajectory.is_file() else []
     print(f"{folder.name} is drawn over its TSDF: making discs of it, and {options.bake_steps} steps to fit them ...")
-    with parsing(folder / "config.json", "the settings of a run"):
-        config = from_run(system.config_type, settings["config"])
     gaussians = dataclasses.replace(gaussians, sh=gaussians.sh[:, : (config.sh_degree + 1) ** 2].contiguous())
     standard = system.standard_from(folder, gaussians, config, list(poses), options.bake_steps)
     print(f"{len(standard) - len(gaussians):,} discs for the surface, {len(gaussians):,} Gaussians in front of it")

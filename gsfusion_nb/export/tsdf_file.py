@@ -64,6 +64,7 @@ def read_tsdf(path: str | Path, config: TsdfConfig, device: torch.device | str =
     path = Path(path)
     with open_regular(path, WHAT) as file, parsing(path, WHAT), np.load(file, allow_pickle=False) as archive:
         _check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()))
+        _check_arrays(path, archive)
         for name, wanted in (("voxel_size_m", config.voxel_size_m), ("truncation_m", config.truncation_m)):
             if not math.isclose(float(archive[name]), wanted, rel_tol=1e-9):
                 raise SequenceError(
@@ -85,6 +86,47 @@ def read_tsdf(path: str | Path, config: TsdfConfig, device: torch.device | str =
         state = columns | {"rgb": planes.transpose(0, 1).contiguous(), "block_coords": torch.from_numpy(coords)}
         volume.load_state_dict({"config": to_dict(config), **state})
     return volume
+
+
+_ARRAYS = {
+    "voxel_size_m": ("<f8", ()),
+    "truncation_m": ("<f8", ()),
+    "block_coords": ("<i4", ("B", 3)),
+    "observed": ("u1", ("B", VOXELS_PER_BLOCK // 8)),
+    "D": ("<i2", ("V",)),
+    "W": ("<f2", ("V",)),
+    "rgb": ("u1", (3, "V")),
+}
+"""Type and shape of each array: B blocks, V observed voxels."""
+_BITS = np.array([number.bit_count() for number in range(256)], np.uint8)
+"""Number of bits of each byte."""
+
+
+def _check_arrays(path: Path, archive: Any) -> None:
+    """Raise ``SequenceError`` unless the arrays are those of ``write_tsdf``, of sizes that agree, with its values."""
+    sizes: dict[str, int] = {}
+    for name, (kind, shape) in _ARRAYS.items():
+        if name not in archive.files:
+            raise SequenceError(f"{path} has no array {name}; expected {WHAT}")
+        array = archive[name]
+        fits = len(shape) == array.ndim and array.dtype == np.dtype(kind)
+        wanted = shape
+        if fits:
+            named = zip(shape, array.shape, strict=True)
+            wanted = tuple(sizes.setdefault(n, size) if isinstance(n, str) else n for n, size in named)
+        if not fits or array.shape != wanted:
+            raise SequenceError(
+                f"{path}: {name} is {list(array.shape)} of {array.dtype}, expected {list(wanted)} of "
+                f"{np.dtype(kind)}; expected {WHAT}"
+            )
+    n_observed = int(_BITS[archive["observed"]].sum(dtype=np.int64))
+    if n_observed != sizes["V"]:
+        raise SequenceError(f"{path} marks {n_observed} voxels as observed, but has the values of {sizes['V']}")
+    D, W = archive["D"], archive["W"]
+    if D.size and D.min() < -D_LEVELS:
+        raise SequenceError(f"{path}: D must be at least {-D_LEVELS:g}, got {D.min()}; expected {WHAT}")
+    if W.size and not (np.isfinite(W).all() and W.min() > 0):
+        raise SequenceError(f"{path}: W must be above 0 and finite for each observed voxel; expected {WHAT}")
 
 
 _BLOCK_BYTES = 20 * VOXELS_PER_BLOCK

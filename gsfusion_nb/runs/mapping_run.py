@@ -307,9 +307,9 @@ class MappingRun:
             self.sequence.kept.clear()
         self.mapper.forget_drawn()
 
-    def save_checkpoint(self, folder: Path) -> None:
-        """Write a checkpoint to ``folder``, from which the run can be resumed; only what has changed is written."""
-        document = {
+    def document(self) -> dict[str, Any]:
+        """All that a checkpoint holds."""
+        return {
             "system": self.system,
             "run": self.state_dict(),
             "source": self.source or self.stream(),
@@ -318,6 +318,10 @@ class MappingRun:
             "ran_on": ran_on(self.mapper.device),
             "random": random_state(),
         }
+
+    def save_checkpoint(self, folder: Path) -> None:
+        """Write a checkpoint to ``folder``, from which the run can be resumed; only what has changed is written."""
+        document = self.document()
         if self.store is None or self.store.folder != folder / CHECKPOINTS:
             self.store = CheckpointStore(folder / CHECKPOINTS)
         self.store.save(document, constant=self.constant_tensors())

@@ -15,7 +15,8 @@ from ..seeding.named_rules import RuleNotNamedError, is_named
 from ..seeding.rule_code import file_source, is_rule_file, read_rule_file, rule_folder, rule_of_source
 from .mapping_run import MappingRun
 from .ran_on import difference, ran_on
-from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, unpacked
+from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, random_state, unpacked
+from .sound_state import check_agreement, check_same, check_values
 from .stream_run import StreamRun
 
 
@@ -37,8 +38,14 @@ def load_run(
         raise FileNotFoundError(f"{store.folder} holds no checkpoint: {why}")
     loaded = store.load()
     try:
+        check_values({name: loaded.state[name] for name in ("run", "mapper")})
+        check_values(_reports(loaded.state["run"]), ("run", "steps"))
         run = _run_of(loaded.state, path, seeding, device, given)
         load_random_state(loaded.state["random"])
+        check_same(loaded.state["random"], random_state() | {"torch_cuda": loaded.state["random"]["torch_cuda"]})
+        check_same({name: loaded.state[name] for name in _KEPT}, run.document())
+        check_agreement(run)
+        run.warnings += [note for note in run.mapper.notes if note not in run.warnings]
     except SequenceError as e:
         if str(path) in str(e):
             raise
@@ -48,11 +55,19 @@ def load_run(
     run.store = store
     if said := _other_program(loaded.state.get("ran_on"), run):
         run.warn_once(said)
-    run.warnings += [note for note in run.mapper.notes if note not in run.warnings]
     run.warnings += [said for said in loaded.copies if said not in run.warnings]
     if loaded.passed_over:
         run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is intact, is used instead")
     return run
+
+
+_KEPT = ("system", "run", "mapper", "rule_from_file")
+"""Parts of a checkpoint that a run does not change by going on from them."""
+
+
+def _reports(state: dict[str, Any]) -> list[Any]:
+    """The reports of frames in a state, as plain values."""
+    return [row for block in (*state["steps"]["blocks"], state["steps"]["rest"]) for row in unpacked(block)]
 
 
 def resume_command(folder: Path, rule: SeedingRule) -> str:

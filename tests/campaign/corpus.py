@@ -1,5 +1,6 @@
 """Small valid files of every kind that the toolkit reads, and files made to harm."""
 
+import dataclasses
 import gzip
 import importlib.util
 import io
@@ -299,6 +300,10 @@ def _run_folder(root: Path, takes) -> list[Seed]:
         run_mapping(str(root / "folder"), config, folder=root / "run", evaluate=True)
         of_tests("plugins/box_room.py").Box().folder(root / "scan")
         interrupted = [_interrupted(root, *kind) for kind in INTERRUPTED]
+        interrupted += [
+            dataclasses.replace(seed, name=f"altered {seed.name}", target="altered") for seed in interrupted
+        ]
+        interrupted.append(_gps_run(root))
     for name in ("report.html", "mesh.ply"):
         (root / "run" / name).unlink(missing_ok=True)
     return [
@@ -312,12 +317,15 @@ INTERRUPTED = (
     ("interrupted", "gsfusion", {}, 2),
     ("interrupted_tracked", "rtg_slam", {"tracking__poses": "tracked", "tracking__back_end": True}, 2),
     ("interrupted_stream", "gsfusion", {}, 2),
+    ("interrupted_gps", "gps_slam", {"tsdf__voxel_size_m": 0.2}, 2),
+    ("interrupted_passes", "gsfusion", {}, 4),
+    ("interrupted_final", "rtg_slam", {}, 4),
 )
 """Name, system, settings, and the steps after which the run was cut off; there are three frames."""
 
 
 def _interrupted(root: Path, name: str, system: str, values: dict, n_steps: int) -> Seed:
-    from gsfusion_nb.config import gsfusion, rtg_slam
+    from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
     from gsfusion_nb.data import open_sequence
     from gsfusion_nb.mapping import make_mapper
     from gsfusion_nb.runs import MappingRun, StreamRun
@@ -327,6 +335,8 @@ def _interrupted(root: Path, name: str, system: str, values: dict, n_steps: int)
         values |= {"tsdf__voxel_size_m": 0.2, "keyframe_min_seeds": 1, "optim__global_iterations": 2}
         values |= {"seeding__quadtree_contrast": "std", "seeding__quadtree_threshold": 0.03}
         config = gsfusion("replica", **values)
+    elif system == "gps_slam":
+        config = gps_slam("replica", **values)
     else:
         values |= {"window__iterations": 2, "final__passes": 2}
         config = rtg_slam("replica", **values)
@@ -341,6 +351,18 @@ def _interrupted(root: Path, name: str, system: str, values: dict, n_steps: int)
     (root / name).mkdir()
     run.save_checkpoint(root / name)
     return Seed(name, "resume", root / name)
+
+
+def _gps_run(root: Path) -> Seed:
+    """A finished run of GPS-SLAM, whose pictures need its TSDF."""
+    from gsfusion_nb.config import gps_slam
+    from gsfusion_nb.runs import run_mapping
+
+    config = gps_slam("replica", tsdf__voxel_size_m=0.2, sh_degree=0, data__stop=3)
+    run_mapping(str(root / "folder"), config, folder=root / "gps", evaluate=True)
+    for name in ("report.html", "mesh.ply"):
+        (root / "gps" / name).unlink(missing_ok=True)
+    return Seed("gps", "altered_tsdf", root / "gps")
 
 
 def bombs(root: Path) -> list[Seed]:

@@ -1,6 +1,7 @@
 """Damaged and hostile files, thousands of them: every one ends in a sentence, or is accepted rightly.
 
     python tests/campaign/fuzz.py --inputs 20000 --seed 1 --keep /tmp/offending
+    python tests/campaign/fuzz.py --inputs 1200 --target altered     # checkpoints and TSDFs with right checksums
 
 Each input is made from its number and the seed alone, so ``--only 1234`` repeats one. Inputs are read in forked copies
 of a warm process, each input with 10 s and 1 GB.
@@ -24,6 +25,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import alter
 import corpus
 import mutate
 import targets
@@ -60,12 +62,12 @@ class Hang(BaseException):
 class Campaign:
     """A corpus and a seed: input ``i`` is always the same."""
 
-    def __init__(self, root: Path, seed: int):
+    def __init__(self, root: Path, seed: int, only: str = ""):
         self.root, self.seed = root, seed
         (root / "corpus").mkdir(parents=True)
         (root / "bombs").mkdir()
-        self.seeds = corpus.build(root / "corpus")
-        self.bombs = corpus.bombs(root / "bombs")
+        self.seeds = [made for made in corpus.build(root / "corpus") if made.target.startswith(only)]
+        self.bombs = [] if only else corpus.bombs(root / "bombs")
         files = [p for p in (root / "corpus").rglob("*") if p.is_file() and p.stat().st_size < 200_000]
         self.others = [p.read_bytes() for p in files[:: max(1, len(files) // 60)]]
 
@@ -80,6 +82,11 @@ class Campaign:
         name = seed.root.name if seed.target == "sequence" else "input"
         place = folder / name
         shutil.copytree(seed.root, place)
+        if seed.target.startswith("altered"):
+            change = alter.alter_checkpoint if seed.target == "altered" else alter.alter_tsdf
+            made = change(place if seed.target == "altered" else place / "tsdf.npz", rng)
+            made.write(folder / targets.ALTERATION)
+            return seed, place, None
         files = sorted(p for p in place.rglob("*") if p.is_file())
         plain = [p for p in files if p.suffix.lower() not in (".png", ".jpg", ".npy")]
         chosen = place / seed.entry if (place / seed.entry).is_file() else rng.choice(plain * 3 + files)
@@ -110,7 +117,7 @@ class Campaign:
             kind, text = _kind_of(e, folder), "".join(traceback.format_exception(e))[-900:]
         if _memory("VmHWM") - before > MEMORY_BYTES:
             kind, text = "memory", f"{(_memory('VmHWM') - before) / 1e9:.2f} GB; {text}"
-        return kind, f"{seed.name} ({seed.target}), {chosen.name if chosen else 'bomb'}: {text}"
+        return kind, f"{seed.name} ({seed.target}), {chosen.name if chosen else 'made to harm'}: {text}"
 
 
 def _kind_of(error: BaseException, folder: Path) -> str:
@@ -281,11 +288,12 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of single inputs")
+    parser.add_argument("--target", default="", help="only inputs that are read so: altered, convert, resume, ...")
     parser.add_argument("--keep", type=Path, help="folder for inputs that did not end well")
     options = parser.parse_args()
     warm()
     with tempfile.TemporaryDirectory(prefix="gsfusion-nb-campaign-") as root:
-        campaign = Campaign(Path(root), options.seed)
+        campaign = Campaign(Path(root), options.seed, options.target)
         numbers = options.only or list(range(options.first, options.first + options.inputs))
         figures = run(campaign, numbers, options.keep)
     print(figures)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import alter
 import torch
 
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
@@ -180,6 +181,33 @@ def resume(path: Path) -> None:
                 raise SequenceError(f"{path}: {e}") from e
 
 
+ALTERATION = "alteration.json"
+"""File beside an altered run that says what is wrong with it."""
+
+
+def altered(path: Path) -> None:
+    """A checkpoint with right checksums and one wrong thing."""
+    _judge_alteration(path, resume)
+
+
+def altered_tsdf(path: Path) -> None:
+    """A TSDF with one wrong thing."""
+    _judge_alteration(path, rescore)
+
+
+def _judge_alteration(path: Path, read: Callable[[Path], None]) -> None:
+    known = alter.Alteration.read(path.parent / ALTERATION)
+    try:
+        read(path)
+    except SilentAcceptance as e:
+        raise SilentAcceptance(f"{known}: {e}") from None
+    except Exception as e:
+        if known == alter.UNALTERED:
+            raise AssertionError("what a run wrote was refused") from e
+        raise
+    _need(not known.wrong, f"taken as right: {known}")
+
+
 def settings(path: Path) -> None:
     from gsfusion_nb.cli.settings import _read_settings
 
@@ -206,8 +234,8 @@ def archive(path: Path) -> None:
 
 TARGETS: dict[str, Callable[[Path], None]] = {
     f.__name__: f for f in (sequence, growing, convert, trajectory, run_trajectory, intrinsics, matrix, gaussians, mesh)
-} | {f.__name__: f for f in (resume, settings, rescore, archive)}
-CORRECTED = ("growing", "resume")
+} | {f.__name__: f for f in (resume, settings, rescore, archive, altered, altered_tsdf)}
+CORRECTED = ("growing", "resume", "altered", "altered_tsdf")
 """Targets that continue without a damaged file: a folder may still grow."""
 
 

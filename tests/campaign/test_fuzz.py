@@ -20,3 +20,12 @@ def test_damaged_and_hostile_files():
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
     assert f"{1500:8} inputs" in done.stdout
     assert f"{0:8} silent acceptances" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux does")
+def test_altered_checkpoints_with_right_checksums():
+    command = [sys.executable, str(FUZZ), "--inputs", "1200", "--seed", "1", "--target", "altered"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
+    assert f"{0:8} silent acceptances" in done.stdout

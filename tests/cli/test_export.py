@@ -71,6 +71,43 @@ def test_a_camera_without_its_width_is_a_sentence(folder, tmp_path, capsys):
     assert "config.json is not readable as the settings of a run, with width" in capsys.readouterr().err
 
 
+WRONG = (None, "text", -1.5, True, [], {}, [1], {"a": 1})
+
+
+def test_wrong_fields_of_the_settings_are_sentences_that_name_the_file(folder, tmp_path, capsys):
+    """Each field of the camera, and the parts that say which system and settings: missing, and of each wrong kind."""
+    (folder / "tsdf.npz").touch()  # so that a .ply file needs system and settings
+    (folder / "metrics.json").write_text('{"metrics": {}}')
+    camera = {"width": 64, "height": 48, "fx": 60.0, "fy": 58.0, "cx": 31.3, "cy": 24.9}
+    good = {"system": "gps_slam", "source": {"path_or_name": "room"}, "device": "cpu", "camera": camera, "config": {}}
+    stage, cloud = str(tmp_path / "map.usda"), str(tmp_path / "map.ply")
+    said = []
+
+    def check(document, *commands):
+        (folder / "config.json").write_text(json.dumps(document))
+        for command in commands:
+            status, text = main(list(command)), capsys.readouterr().err
+            said.append(text)
+            assert status == 1, (document, command)
+            assert "unexpected error" not in text, text
+            assert str(folder) in text, text
+
+    to_stage, to_cloud = ("export", str(folder), stage, "--no-mesh"), ("export", str(folder), cloud)
+    for name in camera:
+        check({**good, "camera": {k: v for k, v in camera.items() if k != name}}, to_stage)
+        for value in WRONG:
+            if not (name in ("cx", "cy") and value == -1.5):  # a principal point may lie outside of the image
+                check({**good, "camera": {**camera, name: value}}, to_stage)
+    for value in WRONG:
+        check({**good, "camera": value}, to_stage)
+        check({**good, "system": value}, to_cloud, ("eval", str(folder)))
+        check({**good, "device": value}, ("eval", str(folder)))
+        if value != {}:
+            check({**good, "config": value}, to_cloud, ("eval", str(folder)))
+        check({**good, "source": value}, ("eval", str(folder)))
+    assert len(said) > 90
+
+
 @pytest.mark.parametrize(
     ("out", "more", "sentence"),
     [

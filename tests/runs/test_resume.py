@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import pytest
+import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import gsfusion, rtg_slam
@@ -74,8 +75,65 @@ def filled(index, number):
 
 VOLUME = ("mapper", "volume")
 DATA_SETTINGS = ("mapper", "config", "data")
+FIRST_KEYFRAME = ("mapper", "keyframes", 0)
+ROWS = ("mapper", "gaussians", "rows")
+
+
+def less(value):
+    return value[:-1]
+
+
+def more(value):
+    return torch.cat([value, value[-1:]]) if isinstance(value, torch.Tensor) else [*value, value[-1]]
+
+
+def in_double(value):
+    return value.double()
+
+
+def doubled(value):
+    return 2 * value
+
+
 CHANGES = {
     "gsfusion": [
+        (put(*ROWS, "xyz_W", value=filled((3, 1), float("nan"))), "rows/xyz_W must be finite numbers, got NaN"),
+        (put(*ROWS, "exp_avg.sh", value=filled((0, 0, 0), float("inf"))), "rows/exp_avg.sh must be finite numbers"),
+        (put(*ROWS, "xyz_W", value=in_double), r"rows/xyz_W must be .* of float32, got .* of float64"),
+        (put(*ROWS, "quat", value=less), "rows/|size|expanded"),
+        (put(*ROWS, "tag", value=more), "rows/|size|expanded"),
+        (put(*ROWS, "opacity_logit", value=lambda x: x[:1]), "opacity_logit must be a tensor"),
+        (put(*ROWS, "last_step", value=filled(2, 99)), "last_step"),
+        (put(*ROWS, "birth_frame", value=filled(2, -7)), "birth_frame of the Gaussians must be from -1"),
+        (put("mapper", "gaussians", "step_count", value=float("nan")), "step_count must be a whole number"),
+        (put("mapper", "gaussians", "step_count", value=[3]), "step_count must be one value, got a list"),
+        (put("mapper", "gaussians", "more", value=1), "mapper/gaussians/more must be nothing of this name"),
+        (put("mapper", "n_frames", value=4), "4 frames of the mapper, 5 poses"),
+        (put("mapper", "n_frames", value=-5), "n_frames must be a whole number of at least 0"),
+        (put("mapper", "localiser", "poses", value=filled((2, 0, 0), 9.0)), "poses must be camera-to-world poses, got"),
+        (put("mapper", "localiser", "poses", value=less), "5 frames of the mapper, 4 poses"),
+        (put("mapper", "localiser", "poses", value=in_double), "poses|dtype"),
+        (put("mapper", "localiser", "frame_indices", value=filled(0, -3)), "index -3, expected at least 0"),
+        (put("mapper", "keyframes", value=less), "keyframe . of the reports of a state is not among its keyframes"),
+        (put("mapper", "keyframes", value=more), "a state has a keyframe twice"),
+        (put(*FIRST_KEYFRAME, "T_WC", value=doubled), "T_WC must be camera-to-world poses"),
+        (put(*FIRST_KEYFRAME, "rgb_u8", value=less), r"rgb_u8 must be an image of 96 x 72 pixels .*got a tensor \[71"),
+        (put(*FIRST_KEYFRAME, "rgb_u8", value=lambda x: x.int()), "rgb_u8 must be an image .* of torch.uint8"),
+        (put(*FIRST_KEYFRAME, "index", value=77), "keyframe"),
+        (put(*FIRST_KEYFRAME, "gain", value=torch.zeros(2)), "gain must be three brightnesses"),
+        (put(*FIRST_KEYFRAME, "camera", "fx", value=float("inf")), "fx must be a finite number"),
+        (put("mapper", "passes", "queue", value=[0, 0]), "wait for keyframes"),
+        (put("mapper", "passes", "queue", value=[88]), "wait for keyframes"),
+        (put("mapper", "passes", "done", value=True), "done must be a number, got True"),
+        (put("run", "timestamps_s", value=less), "5 reports of frames, 4 times"),
+        (put("run", "next_position", value=2), "5 reports of frames, but goes on at position 2"),
+        (put("run", "is_optimised", value="yes"), "is_optimised"),
+        (put("run", "global_losses", value=3.0), "global_losses must be a list"),
+        (put("run", "online_scores", value=[1.0]), "online_scores must be a dictionary"),
+        (put("run", "seconds_global", value=float("nan")), "seconds_global must be a finite number"),
+        (put("run", "warnings", value="a word"), "can only concatenate str"),
+        (put("run", "bad_in_a_row", value=1 << 70), "bad_in_a_row must be a whole number"),
+        (put("random", "python", 0, value=9), "python|version|state"),
         (put(*VOLUME, "W", value=filled((0, 3), -1.0)), "W must be at least 0 in every voxel, got -1"),
         (put("run", "next_position", value=9), "interrupted after 9 frames, but room has 5 now; expected"),
     ],
