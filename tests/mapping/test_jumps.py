@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -56,7 +57,7 @@ def test_what_a_camera_can_move_grows_with_frames_and_with_time(seconds, frames,
         xi = torch.tensor([0.0, 0.0, 0.0, 0.0, math.radians(turned_deg), 0.0])
         T_WC = se3.exp(xi)
         T_WC[0, 3] = moved_m
-        images = {"rgb": torch.zeros(2, 2, 3), "depth_m": torch.ones(2, 2)}
+        images: dict[str, Any] = {"rgb": torch.zeros(2, 2, 3), "depth_m": torch.ones(2, 2)}
         return jump_from(stand, Frame(index=7 + frames, timestamp_s=at, camera=camera, T_WC=T_WC, **images))
 
     assert said(0.99 * most_m, 0.0) == ""

@@ -120,7 +120,8 @@ def test_what_fails_in_the_middle_of_a_frame_leaves_the_map_as_it_was(name, kind
         return given(*args, **options)
 
     config = SYSTEMS[name]
-    mapper = make_mapper(config, **{kind: breaking})
+    own: dict[str, Any] = {kind: breaking}
+    mapper = make_mapper(config, **own)
     for frame in open_sequence("room", n_frames=240, data=config.data).mapping:
         before = copy.deepcopy(maps_of(mapper))
         calls[0] = 0

@@ -28,7 +28,7 @@ def cell(monkeypatch):
 USES = {
     "a name with underscores": ("__STEP", lambda notebook: vars(notebook).update({"__STEP": 5})),
     "a builtin of one's own": ("MAGIC", lambda notebook: setattr(builtins, "MAGIC", 5)),
-    "a value in a library": ("torch.MINE['step']", lambda notebook: torch.MINE.update(step=5)),
+    "a value in a library": ("torch.MINE['step']", lambda notebook: vars(torch)["MINE"].update(step=5)),
     "an object in a library": ("torch.OBJECT.step", lambda notebook: setattr(notebook.kept, "step", 5)),
     "the notebook as a module": ("__import__('__main__').STEP", lambda notebook: setattr(notebook, "STEP", 5)),
 }

@@ -87,7 +87,8 @@ def test_reading_and_copies_are_free(ctx):
             other[...] = 0
             assert np.asarray(tensor, dtype=np.float64).flags.writeable
             assert np.from_dlpack(tensor).shape == tensor.shape
-        ctx.raycast(), ctx.render(), ctx.corners(), ctx.edges()
+        for look in (ctx.raycast, ctx.render, ctx.corners, ctx.edges):
+            look()
         return ctx.seeds_at(ctx.pixels(), 1.0)
 
     assert len(apply_rule(rule, ctx)) > 0
