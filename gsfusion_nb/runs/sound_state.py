@@ -49,8 +49,8 @@ IMAGES = {
     "seen_rgb": (_FLOATS,),
 }
 """Names of images, and the types of their pixels."""
-_NOT_OF_A_MAP = ("config", "rule", "training", "warnings", "data_files")
-"""Parts that are checked where they are read: settings, the rule, functions of the caller, changed sentences."""
+_NOT_OF_A_MAP = ("clock", "config", "rule", "training", "warnings", "data_files")
+"""What is checked where it is read, and what goes on while it is looked at: times, sentences."""
 _MOST = 1 << 53
 """Largest whole number: what a float64 counts exactly."""
 
