@@ -27,8 +27,8 @@ NUMBERS = frozenset({
     "psnr_before_db", "rms_m", "seconds", "seconds_global", "timestamp_s", "usual_fit", "weight",
 })  # fmt: skip
 FLAGS = frozenset({"changed", "is_keyframe", "is_optimised"})
-TEXTS = frozenset({"kind", "name", "status", "warnings"})
-LISTS = frozenset({"global_losses", "losses", "queue", "turns", "usual_fit", "warnings"})
+TEXTS = frozenset({"endings", "kind", "name", "status", "warnings"})
+LISTS = frozenset({"endings", "global_losses", "losses", "queue", "turns", "usual_fit", "warnings"})
 TABLES = frozenset({"counts", "online_scores", "seconds", "tracking"})
 """Dictionaries of numbers, with names that a system, or a score, gives."""
 _OTHERS = frozenset({"index", "steps"})
